@@ -97,6 +97,7 @@ class TickingMachine:
         self.modes: list[Mode | None] = [None] * len(self.axes)  # of the drives, as far as the bench has chosen them
         self._resting = Resting(self, self._tick_at_rest)
         self._imu, self._io = imu, io
+        self._before_sync = None if imu is None else imu.before_sync
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
@@ -176,15 +177,14 @@ class TickingMachine:
                 raise BusError("the machine is not started, or was stopped; start it first")
             overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
             self._refuse_intruder()
-            self._poll(sample, overdue_s)
-            for axis, source in enumerate(self.inputs):
-                mask, value = self._armed[axis]
-                if source.statusword & mask != value:
+            now_s = self._poll(sample, overdue_s)
+            for axis, (mask, value) in enumerate(self._armed):
+                if self.inputs[axis].statusword & mask != value:
                     self._explain_fault(axis)
             if self.heartbeats.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.heartbeats.left_operational, sample.fault))))
             self._check_answers(sample)
-            self.heartbeats.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
+            self.heartbeats.check_one(now_s, self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
         except BaseException:
             self.stop()
             raise
@@ -353,10 +353,10 @@ class TickingMachine:
 
     def _check_answers(self, sample: Sample) -> None:
         """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""
-        is_late, bridged = sample.position_late.tolist(), self._cyclic.silent_ticks
-        if True not in is_late and not sample.unanswered:
+        if not self._cyclic.outstanding:
             self._late_ticks = self._none_late
             return
+        is_late, bridged = sample.position_late.tolist(), self._cyclic.silent_ticks
         self._late_ticks = late_ticks = [ticks + 1 if late else 0 for ticks, late in zip(self._late_ticks, is_late, strict=True)]
         late = ", ".join(axis for axis, ticks in zip(self.axes, late_ticks, strict=True) if ticks)
         bus = self.network.can_bus.channel_info
@@ -369,11 +369,8 @@ class TickingMachine:
         if self.network.intruder:
             raise SecondMasterError(self.network.intruder)
 
-    def _before_sync(self) -> None:
-        if self._imu is not None:
-            self._imu.before_sync()
-
-    def _poll(self, sample: Sample, overdue_s: float) -> None:
+    def _poll(self, sample: Sample, overdue_s: float) -> float:
+        """Take what IMU and I/O have sent, and return the clock's time."""
         if self._imu is not None:
             arrived = self._imu.poll(sample)
             awake_s = self.clock.awake_s
@@ -382,9 +379,11 @@ class TickingMachine:
                 if awake_s <= 0.0 or now_s >= asleep_s:  # rounding may put asleep_s after now_s, and virtual time passes only by waiting
                     self.clock.wait(IMU_RETRY_S)
                 arrived = self._imu.poll(sample)
+        now_s = self.clock.now()
         if self._io is not None:
-            self._io.poll_due(self.clock.now())
+            self._io.poll_due(now_s)
             self._io.update(sample)
+        return now_s
 
     def _explain_fault(self, axis: int) -> None:
         """Raise the fault that made a drive leave operation enabled, with the EMCY that may still be in the queue, or lost its supply."""

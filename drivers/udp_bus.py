@@ -16,6 +16,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
+from operator import itemgetter
 
 import can
 import msgpack
@@ -38,7 +39,8 @@ WHOLE, NOTHING = 0xFFFFFFFF, 0
 DROPPED_AT_ONCE = 64
 """Most datagrams dropped in one look at the line: whoever floods it with garbage must not keep a loop from its tick."""
 
-_FLAGS = ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator")
+_flags_of = itemgetter("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator")
+_BOOL = {bool}
 _STANDARD_IDS, _EXTENDED_IDS, _MOST_DATA = 1 << 11, 1 << 29, 8
 
 
@@ -64,6 +66,7 @@ class UdpBus(can.BusABC):
         self.channel_info = f"udp:{channel}" + ("" if port == PYTHON_CAN_PORT else f"@{port}")
         self.malformed = self.strangers = 0
         self._fields = msgpack.unpackb(pack_message(can.Message(is_extended_id=False)))  # of a data frame, as python-can names them
+        self._packed: Callable[[object], bytes] = msgpack.Packer().pack
         self._sockets: list[socket.socket] = []
         self._mirror: tuple[socket.socket, socket.socket] | None = None
         try:
@@ -89,7 +92,7 @@ class UdpBus(can.BusABC):
         """Send a data frame with an 11-bit identifier, without a message object around it."""
         fields = self._fields
         fields["arbitration_id"], fields["dlc"], fields["data"] = can_id, len(data), data
-        self._send(msgpack.packb(fields))
+        self._send(self._packed(fields))
 
     def rehearse(self) -> None:
         """Send a frame and read it, between two sockets that nobody else listens on.
@@ -100,7 +103,7 @@ class UdpBus(can.BusABC):
         if self._mirror is not None:
             sender, listener = self._mirror
             with contextlib.suppress(OSError):
-                sender.send(msgpack.packb(self._fields))
+                sender.send(self._packed(self._fields))
                 frame_of(listener.recvfrom(RECEIVE_BYTES)[0])
 
     def fileno(self) -> int:
@@ -164,13 +167,12 @@ def frame_of(datagram: bytes) -> can.Message | None:
     try:
         fields = msgpack.unpackb(datagram)
         identifier, data, dlc = fields["arbitration_id"], fields["data"], fields["dlc"]
-        flags = [fields[name] for name in _FLAGS]
+        extended, remote, error, fd, switched, passive = flags = _flags_of(fields)
     except Exception:  # msgpack raises a dozen kinds, and what it unpacks may be anything
         return None
-    extended, remote, error, *fd = flags
-    if not (type(identifier) is type(dlc) is int and type(data) is bytes and all(type(flag) is bool for flag in flags)):
+    if not (type(identifier) is type(dlc) is int and type(data) is bytes and set(map(type, flags)) == _BOOL):
         return None
-    if any(fd) or (remote and error) or not 0 <= dlc <= _MOST_DATA or len(data) != (0 if remote else dlc):
+    if fd or switched or passive or (remote and error) or not 0 <= dlc <= _MOST_DATA or len(data) != (0 if remote else dlc):
         return None
     if not 0 <= identifier < (_EXTENDED_IDS if extended else _STANDARD_IDS):
         return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import inf
-from typing import TextIO
+from typing import Any, TextIO
 
 import can
 
@@ -18,6 +18,9 @@ from virtual_bus.serial.pipe import PipeEnd, pipe
 from virtual_bus.special_frames import FLAGS, message_of
 
 CHANNEL = "lockstep"
+
+MOST_HEARD = 3 * 32
+"""Values of frames that wait for who listens where no SYNC comes: those of three ticks of two axes."""
 
 
 class LockstepBus(can.BusABC):
@@ -39,10 +42,18 @@ class LockstepBus(can.BusABC):
         self._sync_id = machine.bus.sync_cob_id
         self._period_s = machine.period_s
         self._log = log
-        self.tap: Callable[[float, int, bytes], None] | None = None  # hears every frame of both directions, with its time
+        self._heard: list[Any] = []
+        self._listener: Callable[[], None] | None = None
         super().__init__(channel=CHANNEL)
         machine.power_on()
         machine.connect(self._queue if log is None else self._queue_logged)
+
+    def tap(self, heard: list[Any], listener: Callable[[], None]) -> None:
+        """Note every data frame of both directions in `heard`: identifier, data and time of each, one after the other.
+
+        `listener` is called with every SYNC, before anybody else hears it, and where many frames wait. It takes them out.
+        """
+        self._heard, self._listener = heard, listener
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the machine. Nobody listens to error, 29-bit and CAN FD frames."""
@@ -57,10 +68,14 @@ class LockstepBus(can.BusABC):
         """Hand a frame to the machine without a message object around it."""
         if self._log is not None:
             self._write_log(can_id, data)
-        if self.tap is not None:
-            self.tap(self.time_s, can_id, data)
+        is_sync = can_id == self._sync_id
+        if (listener := self._listener) is not None:
+            heard = self._heard
+            heard += can_id, data, self.time_s
+            if is_sync or len(heard) >= MOST_HEARD:
+                listener()
         self.machine.receive(can_id, data)
-        if can_id == self._sync_id and self.machine.until_sync_s == inf:
+        if is_sync and self.machine.until_sync_s == inf:
             self.time_s += self._period_s
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -75,16 +90,14 @@ class LockstepBus(can.BusABC):
             if self._filters is None or self._matches_filters(message):
                 return message
 
-    def receive_frame(self) -> tuple[int, bytes] | None:
-        """Return the next frame as (identifier, data), None when there is none; no time passes."""
-        while self._frames:
-            frame = self._frames.popleft()
-            if self._filters is None or self._matches_filters(self.as_message(*frame)):
-                return frame
-        return None
+    def waiting_frames(self) -> deque[tuple[int, bytes]]:
+        """Return the frames that wait, as (identifier, data), for who takes them out himself; no time passes."""
+        if self._filters is not None:
+            self._frames = deque(frame for frame in self._frames if self._matches_filters(self.as_message(*frame)))
+        return self._frames
 
     def as_message(self, can_id: int, data: bytes) -> can.Message:
-        """Return a frame of `receive_frame` as `recv` would."""
+        """Return a frame of `waiting_frames` as `recv` would."""
         message = message_of(can_id, data)
         message.timestamp, message.channel = self.time_s, CHANNEL
         return message
@@ -105,8 +118,11 @@ class LockstepBus(can.BusABC):
         return bool(self._frames)
 
     def _queue(self, can_id: int, data: bytes) -> None:
-        if self.tap is not None and not can_id & FLAGS:
-            self.tap(self.time_s, can_id, data)
+        if (listener := self._listener) is not None and not can_id & FLAGS:
+            heard = self._heard
+            heard += can_id, data, self.time_s
+            if can_id == self._sync_id or len(heard) >= MOST_HEARD:
+                listener()
         self._frames.append((can_id, data))
 
     def _queue_logged(self, can_id: int, data: bytes) -> None:

@@ -6,6 +6,7 @@ to the network's subscribers.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
@@ -77,7 +78,7 @@ class CyclicExchange:
             for axis in range(len(self.inputs))
         ]
         self.silent_ticks = _silent_ticks(settings)
-        self._outstanding = 0  # TPDOs of the last SYNC that are still to come
+        self.outstanding = 0  # mask of the TPDOs of the last SYNC that have not come in time
         self._owed = 0  # answers that all of them together owe to earlier SYNCs
         self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # only some buses have it
         self._polls = network.clock.awake_s > 0.0
@@ -91,7 +92,9 @@ class CyclicExchange:
         self._foreign = ForeignSync(network, settings, self._one_master) if settings.sync_producer else None
         self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
         self._frames: Any = self._bus  # some buses have frames without message objects; where SYNC is foreign, some have been read already
-        self._ready: Callable[[], tuple[int, bytes] | None] | None = None if self._foreign else getattr(self._bus, "receive_frame", None)
+        waiting = None if self._foreign else getattr(self._bus, "waiting_frames", None)
+        self._has_frames = waiting is not None
+        self._waiting: Callable[[], deque[tuple[int, bytes]]] = waiting or deque
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.settings_watch = SettingsWatch(network, settings)
@@ -147,7 +150,7 @@ class CyclicExchange:
         self.syncs += 1
         sent_s = self._clock.now()
         overdue_s = sent_s + self._answer_timeout_s
-        self._outstanding = outstanding = self._receive(sample, sent_s, overdue_s)
+        self.outstanding = outstanding = self._receive(sample, sent_s, overdue_s)
         if self._others > self._flood_frames:
             self._one_master.flooded(self._others, self._last_other)
         self._others = 0
@@ -177,7 +180,7 @@ class CyclicExchange:
     @property
     def missing(self) -> list[str]:
         """TPDOs that did not answer the last SYNC, in words, with what was wrong with their frames."""
-        return [tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "") for tpdo in self._tpdos if self._outstanding & tpdo.mask]
+        return [tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "") for tpdo in self._tpdos if self.outstanding & tpdo.mask]
 
     def forget_remarks(self) -> None:
         """Begin to count anew."""
@@ -212,13 +215,13 @@ class CyclicExchange:
         remaining = timeout_s = self._answer_timeout_s
         left_s = overdue_s - sent_s  # at the last look at the clock
         overtime = came = 0
-        ready, by_cob_id, in_debt = self._ready, self._by_cob_id, self._owed > 0
+        waiting, by_cob_id, in_debt = self._waiting(), self._by_cob_id, self._owed > 0
         awake = self._polls
         data: bytes | bytearray
         while outstanding:
             message = None
-            if ready is not None and (frame := ready()) is not None:
-                identifier, data = frame
+            if waiting:
+                identifier, data = waiting.popleft()
                 tpdo = by_cob_id.get(identifier)
             else:
                 message = self._take(0.0 if awake else remaining)
@@ -238,14 +241,15 @@ class CyclicExchange:
             elif not tpdo.take(data, sample):
                 self._drop_malformed(tpdo)
             else:
-                if came & tpdo.mask:
+                mask = tpdo.mask
+                if came & mask:
                     self._one_master.extra(tpdo.bit)
-                came |= tpdo.mask
+                came |= mask
                 if tpdo.owed:
                     self._pay(tpdo)
                     tpdo.alone_s = timeout_s - remaining
                 else:
-                    outstanding &= ~tpdo.mask
+                    outstanding &= ~mask
                     if not in_debt:
                         usual_s, took_s = tpdo.usual_s, timeout_s - remaining
                         tpdo.usual_s = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
@@ -276,6 +280,8 @@ class CyclicExchange:
 
     def _drop_stale(self, sample: Sample) -> None:
         """Drop frames that came too late for the last tick, so that they are not mistaken for answers to the next SYNC."""
+        if self._has_frames and not self._waiting():
+            return
         for _ in range(STALE_FRAMES_MAX):
             message = receive_frame(self._bus, 0.0)
             if message is None:

@@ -181,33 +181,40 @@ class Tpdo:
             if each in OBJECTS
         ]
         self.imu_counter = -1 if self.is_of_axis or COUNTER not in objects else objects.index(COUNTER)
-
-    def take(self, data: bytes | bytearray, sample: Sample) -> bool:
+        self.take = self._taker()
         """Put the values of one frame into the sample; return False where it is malformed: the row lacks the values."""
-        if len(data) == self.size:
-            values = self._unpack(data)
-        else:
-            try:
-                values = self._codec.unpack(data)
-            except ProtocolError as error:
-                self.malformed = str(error)
-                return False
-            self.longer += 1
-        axis, source = self.axis, self.source
-        if self.statusword >= 0:
-            source.statusword = sample.statusword[axis] = values[self.statusword]
-        if self.position >= 0:
-            sample.position[axis] = source.position(values[self.position])
-        if self.effort >= 0:
-            sample.effort[axis] = source.effort_scale * values[self.effort]
-        if self.link >= 0:
-            sample.link_position[axis] = source.link_position(values[self.link])
-        if not self.is_of_axis:
-            for place, channel, step in self.imu:
+
+    def _taker(self) -> Callable[[bytes | bytearray, Sample], bool]:
+        """Return `take`, which looks up nothing that is known beforehand."""
+        size, unpack, axis, source, imu, imu_counter = self.size, self._unpack, self.axis, self.source, self.imu, self.imu_counter
+        statusword, position, effort, link = self.statusword, self.position, self.effort, self.link
+        position_of, effort_scale, link_position_of = source.position, source.effort_scale, source.link_position
+
+        def take(data: bytes | bytearray, sample: Sample) -> bool:
+            if len(data) == size:
+                values = unpack(data)
+            else:
+                try:
+                    values = self._codec.unpack(data)
+                except ProtocolError as error:
+                    self.malformed = str(error)
+                    return False
+                self.longer += 1
+            if statusword >= 0:
+                source.statusword = sample.statusword[axis] = values[statusword]
+            if position >= 0:
+                sample.position[axis] = position_of(values[position])
+            if effort >= 0:
+                sample.effort[axis] = effort_scale * values[effort]
+            if link >= 0:
+                sample.link_position[axis] = link_position_of(values[link])
+            for place, channel, step in imu:
                 sample.bus_imu[channel] = step * values[place]
-            if self.imu_counter >= 0:
-                sample.bus_imu_counter = values[self.imu_counter]
-        return True
+            if imu_counter >= 0:
+                sample.bus_imu_counter = values[imu_counter]
+            return True
+
+        return take
 
     def rehearse(self) -> None:
         """Decode a frame of zeros."""

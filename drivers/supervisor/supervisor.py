@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf
+from typing import Any
 
 from drivers.modbus.refresh import following_word
 from drivers.settings import BusSettings
@@ -45,18 +46,27 @@ WORDS = {
 
 
 class Supervisor:
-    """Judges a machine by what passes on its bus and by the state of its I/O."""
+    """Judges a machine by what passes on its bus and by the state of its I/O.
+
+    Attributes
+    ----------
+    noted : list
+        Who hears frames may note them here instead of calling `frame`: identifier, data and time of each, one after the other. They are
+        taken before anything is answered. There are never more than MOST_NOTED: `take_noted` takes them out.
+    """
 
     def __init__(self, settings: BusSettings) -> None:
         self._settings = settings
         self._axis_of = {scaling.axis: number for number, scaling in enumerate(settings.scalings)}
         self._drives = [(self._axis_of[node.axis], node.node_id) for node in settings.nodes if node.role == "drive"]
+        self.noted: list[Any] = []
         self.begin()
 
     def begin(self) -> None:
         """Begin a session: permit again, and forget what was seen."""
         self._words = ""  # of the first reason
         self.asked_by = ""
+        self.noted.clear()
         memory = memory_of(self._settings)
         self._machine, self._axes, self._fields, self._places = memory.machine, memory.axes, memory.fields, memory.places
 
@@ -67,6 +77,8 @@ class Supervisor:
     @property
     def reason(self) -> str:
         """What was wrong first, in words; '' where nothing was."""
+        if self.noted:
+            self.take_noted()
         if self._words or self._machine.law == NOTHING:
             return self._words
         scaling = self._settings.scalings[self._machine.axis]
@@ -93,6 +105,10 @@ class Supervisor:
         if place is not None:
             word = int.from_bytes(data, "little")
             take_frame(self._machine, self._axes, self._fields, place, len(data), word, time_s)
+
+    def take_noted(self) -> None:
+        """Take the frames that were noted."""
+        self._judged(TAKE, 0.0)
 
     def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Iterable[bool] = ()) -> None:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
@@ -143,4 +159,7 @@ class Supervisor:
 
     def _judged(self, question: int, time_s: float) -> bool:
         """Judge all that came, answer the question, and return whether motion is permitted."""
+        for can_id, data, heard_s in zip(*[iter(self.noted)] * 3, strict=True):
+            self.frame(heard_s, can_id, data)
+        self.noted.clear()
         return judged(self._machine, self._axes, question, time_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 from drivers.settings import BusSettings
 from drivers.shared_memory.io_state import IoState
@@ -43,6 +43,11 @@ class SupervisorInProcess:
         Sends a frame: identifier and data.
     supervisor : Supervisor, optional
         Who judges, where that is a compiled one: it finds the same in less time.
+
+    Attributes
+    ----------
+    heard : list
+        Frames of the bus since the last call of `take`, which whoever carries them notes here, see `Supervisor.noted`.
     """
 
     def __init__(
@@ -53,7 +58,7 @@ class SupervisorInProcess:
         supervisor: Supervisor | None = None,
     ) -> None:
         self._supervisor = supervisor or Supervisor(settings)
-        self._take = self._supervisor.frame
+        self.heard: list[Any] = self._supervisor.noted
         self._sync_id = settings.sync_cob_id
         self._now, self._send = now, send
 
@@ -70,12 +75,14 @@ class SupervisorInProcess:
 
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
-        return took_back(self._supervisor.reason) if self._supervisor.reason else ""
+        return took_back(reason) if (reason := self._supervisor.reason) else ""
 
-    def frame(self, time_s: float, can_id: int, data: bytes) -> None:
-        """Take a frame of the bus; judge with every SYNC."""
-        self._take(time_s, can_id, data)
-        if can_id == self._sync_id and not self._supervisor.check(time_s):
+    def take(self) -> None:
+        """Take what was heard; judge where that ends with a SYNC."""
+        can_id, _, time_s = self.heard[-3:]
+        if can_id != self._sync_id:
+            self._supervisor.take_noted()
+        elif not self._supervisor.check(time_s):
             for command in self._supervisor.commands(time_s):
                 self._send(NMT, bytes(command))
 

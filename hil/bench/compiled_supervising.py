@@ -6,7 +6,6 @@ call takes a tick's frames, where each by itself takes a call of many in Python.
 
 from __future__ import annotations
 
-from itertools import chain
 from struct import Struct
 from types import FunctionType
 
@@ -16,7 +15,7 @@ from numba.extending import register_jitable
 
 from controllers.compiled import kept_on_disk
 from drivers.supervisor import laws
-from drivers.supervisor.laws import ASKS, TAKE, Entry, judged, take_frame
+from drivers.supervisor.laws import ASKS, Entry, judged, take_frame
 from drivers.supervisor.memory import AXIS, FIELD, MACHINE, MOST_NOTED, NOTED_FORMAT
 from drivers.supervisor.supervisor import Supervisor
 
@@ -61,26 +60,25 @@ class CompiledSupervisor(Supervisor):
         self._machine, self._axes = machines.view(np.recarray)[0], list(axes.view(np.recarray))
         self._image = machines["noted"].view(np.uint8).reshape(-1).data
         self._is_permitted = True  # at the last judgement
-        self._noted: list[tuple[int, bytes, float]] = []
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take note of a data frame with an 11-bit identifier, whoever sent it."""
-        self._noted.append((can_id, bytes(data), time_s))
-        if len(self._noted) >= MOST_NOTED:
-            self._judged(TAKE, 0.0)
+        self.noted += can_id, bytes(data), time_s
+        if len(self.noted) >= 3 * MOST_NOTED:
+            self.take_noted()
 
     @property
     def reason(self) -> str:
         """What was wrong first, in words; '' where nothing was."""
-        if not self._asking.isdisjoint([frame[0] for frame in self._noted]):  # no other ends the permission by itself
-            self._judged(TAKE, 0.0)
+        if not self._asking.isdisjoint(self.noted[::3]):  # no other ends the permission by itself
+            self.take_noted()
         return self._words if self._words or self._is_permitted else super().reason
 
     def _judged(self, question: int, time_s: float) -> bool:
         """Judge all that was noted, answer the question, and return whether motion is permitted."""
-        number = len(self._noted)
-        _PACKS[number](self._image, 0, *chain.from_iterable(self._noted))
-        self._noted.clear()
+        number = len(self.noted) // 3
+        _PACKS[number](self._image, 0, *self.noted)
+        self.noted.clear()
         self._is_permitted = _judge(*self._bytes, number, question, time_s)
         return self._is_permitted
 

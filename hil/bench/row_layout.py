@@ -23,7 +23,8 @@ COLUMNS = record_type(
 
 _FILL = types.void(
     *(float64[::1], uint8[::1], uint8[::1]),
-    *(types.Array(float64, 1, "A", readonly=True),) * 5,
+    *(types.Array(float64, 2, "A", readonly=True),) * 4,
+    types.Array(float64, 1, "A", readonly=True),
     *(int64, float64, float64, int64, int64, float64, float64, float64, int64),
 )
 
@@ -53,10 +54,10 @@ def _fill(
     row[0] = k * period_s
     for axis in range(len(values)):
         of_axis = values[axis]
-        row[at.reference + axis] = reference[axis]
-        row[at.reference_raw + axis] = reference_raw[axis]
-        row[at.excitation + axis] = excitation[axis]
-        row[at.feedforward + axis] = feedforward[axis]
+        row[at.reference + axis] = reference[k, axis]
+        row[at.reference_raw + axis] = reference_raw[k, axis]
+        row[at.excitation + axis] = excitation[k, axis]
+        row[at.feedforward + axis] = feedforward[k, axis] if len(feedforward) else 0.0
         row[at.command + axis] = command[axis]
         row[at.effort + axis] = of_axis.effort
         row[at.position + axis] = of_axis.position
@@ -161,7 +162,7 @@ class RowLayout:
         self._add("observed", list(observed))
         self.observed = slice(len(self.channels) - len(observed), len(self.channels))
         self._columns = np.array([tuple(self._groups.get(group, -1) for group in COLUMNS.names or ())], COLUMNS).view(np.uint8)
-        self._no_feedforward = np.zeros(len(self.axes))
+        self._no_feedforward = np.zeros((0, len(self.axes)))
 
     def _add(self, group: str, channels: list[tuple[str, str]]) -> None:
         self._groups[group] = len(self.channels)
@@ -193,10 +194,10 @@ class RowLayout:
             row,
             self._columns,
             sample.memory,
-            plan.reference[k],
-            plan.reference_raw[k],
-            plan.excitation[k],
-            self._no_feedforward if plan.feedforward is None else plan.feedforward[k],
+            plan.reference,
+            plan.reference_raw,
+            plan.excitation,
+            self._no_feedforward if plan.feedforward is None else plan.feedforward,
             command,
             k,
             self.period_s,

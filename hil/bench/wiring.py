@@ -186,7 +186,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
             stack.callback(options.events.extend, faulty.schedule.events)
             stack.callback(faulty.let_rest, bus.pass_time, REST_AT_MOST_S)
         supervisor = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame, CompiledSupervisor(settings))
-        bus.tap = supervisor.frame
+        bus.tap(supervisor.heard, supervisor.take)
         imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
         io: Io | None = None
         if settings.io is not None:

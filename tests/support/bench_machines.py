@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -100,11 +101,11 @@ class LosingBus(LockstepBus):
                 return message
         return None
 
-    def receive_frame(self) -> tuple[int, bytes] | None:
-        while (frame := super().receive_frame()) is not None:
-            if frame[0] not in self.lost_ids:
-                return frame
-        return None
+    def waiting_frames(self) -> deque[tuple[int, bytes]]:
+        frames = super().waiting_frames()
+        for frame in [each for each in frames if each[0] in self.lost_ids]:
+            frames.remove(frame)
+        return frames
 
 
 LOOPS: dict[str, dict[str, Any]] = {axis: drive["loops"] for axis, drive in tomllib.loads(load_machine("carm-csp").text)["drives"].items()}

@@ -245,7 +245,8 @@ class InProcess:
         for node in SETTINGS.nodes:
             for pdo in node.rpdos:
                 self._frame(pdo, {0x6071: torque})
-        self.supervisor.frame(self.now_s, SETTINGS.sync_cob_id, b"")
+        self.supervisor.heard += SETTINGS.sync_cob_id, b"", self.now_s
+        self.supervisor.take()
         for node in SETTINGS.nodes:
             scaling = SETTINGS.scalings[CARM.axis_index(node.axis)]
             link = scaling.link_zero_counts + round(scaling.sign * counts * scaling.position_resolution / scaling.link_resolution)
@@ -255,7 +256,7 @@ class InProcess:
 
     def _frame(self, pdo: Pdo, values: dict[int, int]) -> None:
         data = b"".join(values.get(index, 0).to_bytes(bits // 8, "little") for index, _, bits in pdo.entries)
-        self.supervisor.frame(self.now_s, pdo.cob_id, data)
+        self.supervisor.heard += pdo.cob_id, data, self.now_s
 
     def refresh(self) -> int | None:
         return self.supervisor.refresh(self.state)
@@ -275,6 +276,15 @@ def test_in_lockstep_it_answers_the_io_until_it_takes_its_permission_back_and_th
         machine.tick(counts=100 * k)
     drives = [node.node_id for node in SETTINGS.nodes if node.role == "drive"]
     assert machine.sent[: len(drives)] == [(0x000, bytes((0x02, node))) for node in drives]
+
+
+def test_in_lockstep_what_was_heard_since_the_sync_counts_at_once() -> None:
+    node = next(node for node in SETTINGS.nodes if node.rpdos)
+    for ask in ("trouble", "refresh"):
+        machine = InProcess()
+        machine.tick()
+        machine._frame(node.rpdos[0], {0x6071: 0x7FFF})
+        assert "was asked for" in machine.supervisor.trouble() if ask == "trouble" else machine.refresh() is None
 
 
 def test_in_lockstep_what_the_io_reports_counts() -> None:

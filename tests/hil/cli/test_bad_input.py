@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -202,9 +203,9 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
     part = out.with_name("run.mf4.part")
 
     class Failing(LosingBus):
-        def recv(self, timeout: float | None = None) -> can.Message | None:
+        def waiting_frames(self) -> deque[tuple[int, bytes]]:
             self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
-            return super().recv(timeout)
+            return super().waiting_frames()
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
@@ -246,11 +247,11 @@ def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter: Isocenter, 
     part = out.with_name("run.mf4.part")
 
     class Failing(LosingBus):
-        def recv(self, timeout: float | None = None) -> can.Message | None:
+        def waiting_frames(self) -> deque[tuple[int, bytes]]:
             if part.exists():
                 out.mkdir(exist_ok=True)  # in the recording's place
             self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
-            return super().recv(timeout)
+            return super().waiting_frames()
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
@@ -305,10 +306,10 @@ def taken(monkeypatch: pytest.MonkeyPatch, out: Path) -> Path:
     part = out.with_name("run.mf4.part")
 
     class Taking(LosingBus):
-        def recv(self, timeout: float | None = None) -> can.Message | None:
+        def waiting_frames(self) -> deque[tuple[int, bytes]]:
             if part.exists():
                 out.mkdir(exist_ok=True)
-            return super().recv(timeout)
+            return super().waiting_frames()
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Taking)
     return out

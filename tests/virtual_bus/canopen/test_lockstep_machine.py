@@ -13,7 +13,7 @@ import pytest
 from device_wires import PERIOD_S, SpinningMasses, two_axis_bus, u32
 from lockstep_client import NO_RTR, OFF, Master
 
-from virtual_bus.lockstep import LockstepBus, imu_line, io_line
+from virtual_bus.lockstep import MOST_HEARD, LockstepBus, imu_line, io_line
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 from virtual_bus.serial.xsens_imu import EmulatedImu
@@ -228,10 +228,34 @@ def test_frames_without_message_objects_are_filtered_as_well() -> None:
     master.bus.set_filters([{"can_id": 0x581, "can_mask": 0x7FF}])
     for node in (2, 1):
         master.send(0x600 + node, bytes.fromhex("40 00 10 00 00 00 00 00"))
-    frame = master.bus.receive_frame()
-    assert frame is not None
-    assert frame[0] == 0x581
-    assert master.bus.receive_frame() is None
+    assert [can_id for can_id, _ in master.bus.waiting_frames()] == [0x581]
+
+
+def test_who_listens_is_called_before_the_machine_hears_a_sync_and_whenever_many_frames_wait() -> None:
+    master, heard, calls = Master(), [], []
+    master.configure(heartbeat_ms=100)
+
+    def listener() -> None:
+        calls.append((master.machine.syncs, list(zip(*[iter(heard)] * 3, strict=True))))
+        heard.clear()
+
+    master.bus.tap(heard, listener)
+    for _ in range(3):
+        syncs, time_s = master.machine.syncs, master.bus.time_s
+        master.send(0x201, bytes(4))
+        master.send(0x080)
+        at, frames = calls.pop()
+        assert at == syncs
+        assert frames[-2:] == [(0x201, bytes(4), time_s), (0x080, b"", time_s)]
+        answers = [can_id for can_id in heard[::3] if can_id < 0x700]
+        assert answers == [0x181, 0x182, 0x18B, 0x18C], "told with the next SYNC"
+    master.bus.pass_time(10.0)
+    assert sum(len(frames) for _, frames in calls) > 200
+    assert {3 * len(frames) for _, frames in calls} == {MOST_HEARD}
+    calls.clear()
+    for _ in range(MOST_HEARD):
+        master.send(0x7FF)
+    assert len(calls) >= 3
 
 
 def test_remote_and_long_frames_find_no_listener() -> None:

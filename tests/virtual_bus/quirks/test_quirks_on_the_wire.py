@@ -42,8 +42,9 @@ class Script:
 
     def send(self, can_id: int, data: bytes = b"") -> None:
         self.bus.send_frame(can_id, data)
-        while (frame := self.bus.receive_frame()) is not None:
-            self.seen.append((round(self.bus.time_s, 4), *frame))
+        frames = self.bus.waiting_frames()
+        while frames:
+            self.seen.append((round(self.bus.time_s, 4), *frames.popleft()))
 
     def wait(self, seconds: float) -> None:
         self.bus.pass_time(seconds)
