@@ -234,7 +234,8 @@ class ImuDriver:
             self._counter, self._time_ticks = reading.counter, reading.time_ticks
             return
         step = (reading.counter - self._counter) % COUNTER_MODULO
-        self.lost_packets += max(0, step - 1)
+        if step > 1:
+            self.lost_packets += step - 1
         self._counter += step
         self._time_ticks += (reading.time_ticks - self._time_ticks) % TIME_MODULO
 
