@@ -31,24 +31,23 @@ class TcpFraming:
     """
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
+        self._begun = b""  # of a request that is not complete
         self.broken = False
 
     def feed(self, data: bytes) -> list[TcpRequest]:
         """Add received bytes and return the requests that are complete."""
-        buffer = self._buffer
-        buffer += data
-        requests = []
-        while len(buffer) >= MBAP.size and not self.broken:
-            transaction, protocol, length, unit_id = MBAP.unpack_from(buffer)
+        data, start, requests = self._begun + data, 0, []
+        while len(data) - start >= MBAP.size and not self.broken:
+            transaction, protocol, length, unit_id = MBAP.unpack_from(data, start)
             if protocol != MODBUS_PROTOCOL or not 2 <= length <= MAX_PDU_BYTES + 1:
                 self.broken = True
                 break
-            end = MBAP.size - 1 + length
-            if len(buffer) < end:
+            end = start + MBAP.size - 1 + length
+            if len(data) < end:
                 break
-            requests.append(TcpRequest(transaction, unit_id, bytes(buffer[MBAP.size : end])))
-            del buffer[:end]
+            requests.append(TcpRequest(transaction, unit_id, data[start + MBAP.size : end]))
+            start = end
+        self._begun = data[start:]
         return requests
 
 
