@@ -189,7 +189,7 @@ class StreamParser:
         del buffer[:start]
         return messages
 
-    def whole_reading(self, data: bytes) -> Reading | None:
+    def whole_reading(self, data: bytes) -> Values | None:
         """Take received bytes that are one whole message as this bench configures it; None: `feed` has to take them."""
         is_one = len(data) == _STANDARD.size + 1 and not self._buffer and _sum(data) & 0xFF == PREAMBLE
         return _standard_reading(data) if is_one else None
@@ -300,12 +300,12 @@ _ONE, _TWO, _THREE, _FOUR, _FIVE = (
 )
 
 
-def _standard_reading(message: bytes) -> Reading | None:
+def _standard_reading(message: bytes) -> Values | None:
     """Read a message whose packets lie as this bench configures them; None where they lie otherwise."""
     one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status = _STANDARD.unpack_from(message)
     if one != _ONE or two != _TWO or three != _THREE or four != _FOUR or five != _FIVE:
         return None
-    return Reading(counter, time_ticks, (x, y, z), (p, q, r), status)
+    return counter, time_ticks, (x, y, z), (p, q, r), status
 
 
 _FLOAT32 = Precision.FLOAT32  # a name of its own is found faster
@@ -339,8 +339,8 @@ def decode_reading(data: bytes) -> Reading:
     ProtocolError
         A packet is cut off or has the wrong size.
     """
-    if len(data) == _STANDARD.size - len(_START) and (reading := _standard_reading(_START + data)) is not None:
-        return reading
+    if len(data) == _STANDARD.size - len(_START) and (values := _standard_reading(_START + data)) is not None:
+        return Reading(*values)
     counter = time_ticks = status = None
     acceleration = rate_of_turn = None
     for identifier, value in decode_mtdata2(data):

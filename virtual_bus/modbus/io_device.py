@@ -95,7 +95,8 @@ class EmulatedIo:
         self._followed: list[bool] = []  # the coils with which every brake has arrived
         self._word = FIRST_WORD
         self._refreshed = False  # since the last `advance`
-        self._falls_s = -math.inf  # when the outputs fall unless refreshed
+        self._falls_s = math.inf if layout.watchdog_register is None else -math.inf  # when the outputs fall unless refreshed
+        self._loop_back = layout.loop_back
         self._tcp = TcpFraming()
         self._functions: dict[int, Callable[[bytes], bytes]] = {
             FunctionCode.READ_COILS: partial(_read_bits, self.coils),
@@ -139,14 +140,15 @@ class EmulatedIo:
 
     def advance(self, time_s: float) -> None:
         """Move machine time to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows the brakes."""
+        coils = self.coils
         if self._refreshed:
             self._refreshed, self._falls_s = False, time_s + self.layout.watchdog_timeout_s
-        if self.layout.watchdog_register is not None and time_s >= self._falls_s:
-            self.coils[:] = [False] * len(self.coils)
-        if self.layout.loop_back is not None:
-            coil, looped = self.layout.loop_back
-            self.discrete_inputs[looped] = self.coils[coil]
-        if self.coils != self._followed:
+        if time_s >= self._falls_s:
+            coils[:] = [False] * len(coils)
+        if self._loop_back is not None:
+            coil, looped = self._loop_back
+            self.discrete_inputs[looped] = coils[coil]
+        if coils != self._followed:
             self._follow(time_s)
 
     def _follow(self, time_s: float) -> None:
