@@ -29,8 +29,8 @@ REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (2 + 2 * (1 + RETRIES))
 """Waiting for late answers; connecting; every try, whose time an answer in pieces doubles."""
 
 MBAP_PROTOCOL_OFFSET, MBAP_LENGTH_OFFSET, MBAP_UNIT_OFFSET, MBAP_BYTES = 2, 4, 6, 7
-KEPT_REQUESTS = 16
-"""In their bytes: those of a poll, which come again and again, and are fewer."""
+KEPT_MESSAGES = 16
+"""Requests, and answers: those of two polls are fewer."""
 
 SHOWN_BYTES = 16
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -86,7 +86,7 @@ class Transport(Protocol):
 class InProcessTransport:
     """Transport to a device in this process, every message encoded to bytes and decoded from bytes.
 
-    A request that comes again is not encoded again: change none that was sent.
+    A poll's requests come again and again, and mostly its answers: neither is encoded or decoded anew, so change none.
 
     Parameters
     ----------
@@ -98,7 +98,8 @@ class InProcessTransport:
         self._serve = serve
         self._framer = framer = FramerSocket(DecodePDU(False))
         self._transaction = 0
-        self._behind_transaction = lru_cache(KEPT_REQUESTS)(lambda pdu: framer.buildFrame(pdu)[MBAP_PROTOCOL_OFFSET:])
+        self._decoded = lru_cache(KEPT_MESSAGES)(_decoded)
+        self._behind_transaction = lru_cache(KEPT_MESSAGES)(lambda pdu: framer.buildFrame(pdu)[MBAP_PROTOCOL_OFFSET:])
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer."""
@@ -106,12 +107,8 @@ class InProcessTransport:
         sent: bytes = transaction.to_bytes(MBAP_PROTOCOL_OFFSET, "big") + self._behind_transaction(pdu)
         said = self._serve(sent)
         try:
-            if _is_answer(said, sent):
-                expected = DecodePDU.pdu_table[pdu.function_code][
-                    1
-                ]()  # the library's own decoder writes each down, for a log that nobody keeps
-                expected.decode(said[MBAP_BYTES + 1 :])
-                return expected
+            if _is_answer(said, sent) and (answer := self._decoded(said[MBAP_BYTES:])) is not None:
+                return answer
             _, answer = self._framer.handleFrame(said, pdu.dev_id, transaction)
         except UNREADABLE as error:
             raise ProtocolError(f"io: the in-process device's answer is no Modbus message: {error}") from error
@@ -250,6 +247,16 @@ class ClientTransport:
         seen = _what_is_wrong(received, self._sent) if self._is_serial else _what_is_wrong_on_tcp(received)
         shown = received[:SHOWN_BYTES].hex(" ")
         return ProtocolError(f"{self.name}: {seen} ({shown}){'; check wiring, baud rate and parity' if self._is_serial else ''}")
+
+
+def _decoded(pdu: bytes) -> ModbusPDU | None:
+    """Return an answer that is no exception; None where it cannot be decoded."""
+    answer = DecodePDU.pdu_table[pdu[0]][1]()
+    try:
+        answer.decode(pdu[1:])  # `DecodePDU.decode` also puts each in words, for a log that nobody keeps
+    except UNREADABLE:
+        return None
+    return answer
 
 
 def _is_answer(said: bytes, sent: bytes) -> bool:
