@@ -58,7 +58,6 @@ class IoDriver:
         self.first_malformed = ""  # why the first was none
         self._map = io_map
         self._transport = transport
-        self._axes = axes
         self._refresh = refresh
         self._refreshed: int | None = None  # the word that was answered, since it was read
         self._open = dict.fromkeys(io_map.brake_coils, False)
@@ -72,6 +71,8 @@ class IoDriver:
         self._looped = False  # the output that is wired to an input, as it was written last
         self._lags = 0  # polls for which that input has not followed
         registers = tuple(io_map.temperature_registers.values())
+        self._feedback = _of_axes(axes, io_map.brake_feedback_inputs)
+        self._thermometers = _of_axes(axes, io_map.temperature_registers)
         start, count = _block("discrete inputs", inputs, MAX_READ_BITS)
         self._read_inputs = ReadDiscreteInputsRequest(address=start, count=count, dev_id=unit_id)
         self._read_registers: ReadInputRegistersRequest | None = None
@@ -104,9 +105,8 @@ class IoDriver:
             pressed = bits[io_map.hold_to_run_input - start]
             state.hold_to_run = pressed and (released is None or not bits[released - start])
             state.door_closed = bits[io_map.door_input - start]
-            for index, axis in enumerate(self._axes):
-                if axis in io_map.brake_feedback_inputs:
-                    state.brakes_open[index] = bits[io_map.brake_feedback_inputs[axis] - start]
+            for index, feedback in self._feedback:
+                state.brakes_open[index] = bits[feedback - start]
             if self._read_registers is not None:
                 self._take_temperatures(self._read_registers)
             state.time_s = now_s
@@ -183,15 +183,18 @@ class IoDriver:
         registers, count = self._transport.request(request).registers, request.count
         if len(registers) != count:
             raise ProtocolError(f"io: {len(registers)} input registers in the answer where {count} were asked")
-        for index, axis in enumerate(self._axes):
-            register = self._map.temperature_registers.get(axis)
-            if register is not None:
-                self.state.temperature_degC[index] = register_to_temperature(registers[register - request.address])
+        for index, register in self._thermometers:
+            self.state.temperature_degC[index] = register_to_temperature(registers[register - request.address])
 
 
 def brake_requests(io_map: IoMap) -> int:
     """Return the number of requests that write all brakes: one for each run of neighbouring coils."""
     return len(_runs(dict.fromkeys(io_map.brake_coils.values(), False)))
+
+
+def _of_axes(axes: tuple[str, ...], addresses: Mapping[str, int]) -> list[tuple[int, int]]:
+    """Return (place of the axis, address) of every axis that has one."""
+    return [(index, addresses[axis]) for index, axis in enumerate(axes) if axis in addresses]
 
 
 def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:
