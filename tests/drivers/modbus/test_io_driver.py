@@ -163,6 +163,12 @@ def test_an_answer_that_was_good_before_is_none_to_the_next_request() -> None:
         transport.request(request)
 
 
+def test_an_answer_that_is_shorter_than_it_says_is_none() -> None:
+    transport = InProcessTransport(lambda request: request[:5] + b"\x09" + request[6:8] + b"\x01\x03")
+    with pytest.raises(ProtocolError, match="is no Modbus message"):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
 def test_an_answer_is_read_anew_when_it_changes_and_when_it_changes_back() -> None:
     device = emulated_io()
     transport, request, doors = InProcessTransport(device.serve), ReadDiscreteInputsRequest(**REQUEST), (True, False, True, True)
