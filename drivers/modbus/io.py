@@ -58,22 +58,32 @@ class IoDriver:
         self.first_malformed = ""  # why the first was none
         self._map = io_map
         self._transport = transport
-        self._axes = axes
         self._refresh = refresh
         self._refreshed: int | None = None  # the word that was answered, since it was read
         self._open = dict.fromkeys(io_map.brake_coils, False)
         self._commanded = False
         self._next_poll_s = -math.inf
         self._now_s = 0.0
-        released = io_map.hold_to_run_released_input
+        released, unit_id = io_map.hold_to_run_released_input, io_map.unit_id
         inputs = (*io_map.brake_feedback_inputs.values(), io_map.hold_to_run_input, io_map.door_input)
         inputs += () if released is None else (released,)
         inputs += () if io_map.loop_back is None else (io_map.loop_back[1],)
         self._looped = False  # the output that is wired to an input, as it was written last
         self._lags = 0  # polls for which that input has not followed
         registers = tuple(io_map.temperature_registers.values())
-        self._inputs = _block("discrete inputs", inputs, MAX_READ_BITS)
-        self._registers = _block("input registers", registers, MAX_READ_REGISTERS) if registers else None
+        self._feedback = _of_axes(axes, io_map.brake_feedback_inputs)
+        self._thermometers = _of_axes(axes, io_map.temperature_registers)
+        start, count = _block("discrete inputs", inputs, MAX_READ_BITS)
+        self._read_inputs = ReadDiscreteInputsRequest(address=start, count=count, dev_id=unit_id)
+        self._read_registers: ReadInputRegistersRequest | None = None
+        if registers:
+            start, count = _block("input registers", registers, MAX_READ_REGISTERS)
+            self._read_registers = ReadInputRegistersRequest(address=start, count=count, dev_id=unit_id)
+        if io_map.watchdog is not None:
+            self._read_word = ReadHoldingRegistersRequest(address=io_map.watchdog.register, count=1, dev_id=unit_id)
+        if io_map.loop_back is not None:
+            coil = io_map.loop_back[0]
+            self._switch = {on: WriteSingleCoilRequest(address=coil, bits=[on], dev_id=unit_id) for on in (False, True)}
 
     def poll_once(self, now_s: float) -> None:
         """Write the brakes if commanded, then read all inputs and registers.
@@ -86,9 +96,8 @@ class IoDriver:
         if self._commanded:
             self.write_brakes()
         state, io_map = self.state, self._map
-        start, count = self._inputs
-        answer = self._transport.request(ReadDiscreteInputsRequest(address=start, count=count, dev_id=io_map.unit_id))
-        bits = answer.bits
+        start, count = self._read_inputs.address, self._read_inputs.count
+        bits = self._transport.request(self._read_inputs).bits
         if len(bits) < count:
             raise ProtocolError(f"io: {len(bits)} discrete inputs in the answer where {count} were asked")
         if self._is_alive(bits, start):
@@ -96,14 +105,13 @@ class IoDriver:
             pressed = bits[io_map.hold_to_run_input - start]
             state.hold_to_run = pressed and (released is None or not bits[released - start])
             state.door_closed = bits[io_map.door_input - start]
-            for index, axis in enumerate(self._axes):
-                if axis in io_map.brake_feedback_inputs:
-                    state.brakes_open[index] = bits[io_map.brake_feedback_inputs[axis] - start]
-            if self._registers is not None:
-                self._read_temperatures(*self._registers)
+            for index, feedback in self._feedback:
+                state.brakes_open[index] = bits[feedback - start]
+            if self._read_registers is not None:
+                self._take_temperatures(self._read_registers)
             state.time_s = now_s
         if io_map.watchdog is not None:
-            self._read_word(io_map.watchdog.register)
+            self._take_word()
         self.refresh()
 
     def _is_alive(self, bits: Sequence[bool], start: int) -> bool:
@@ -115,11 +123,11 @@ class IoDriver:
         io_map = self._map
         if io_map.loop_back is None:
             return True
-        coil, looped = io_map.loop_back
+        looped = io_map.loop_back[1]
         follows = bits[looped - start] == self._looped
         self._lags = 0 if follows else self._lags + 1
         self._looped ^= follows  # outputs that fell are switched on again until they follow
-        self._transport.request(WriteSingleCoilRequest(address=coil, bits=[self._looped], dev_id=io_map.unit_id))
+        self._transport.request(self._switch[self._looped])
         if self._open and not any(self._open.values()):
             self._lags = 0
         return self._lags <= LAGS_BORNE
@@ -165,25 +173,28 @@ class IoDriver:
             self._transport.request(WriteSingleRegisterRequest(address=watchdog.register, registers=[word], dev_id=self._map.unit_id))
             self._refreshed = state.word
 
-    def _read_word(self, register: int) -> None:
-        answer = self._transport.request(ReadHoldingRegistersRequest(address=register, count=1, dev_id=self._map.unit_id))
+    def _take_word(self) -> None:
+        answer = self._transport.request(self._read_word)
         if len(answer.registers) != 1:
             raise ProtocolError(f"io: {len(answer.registers)} holding registers in the answer where 1 was asked")
         self.state.word, self._refreshed = answer.registers[0], None
 
-    def _read_temperatures(self, start: int, count: int) -> None:
-        answer = self._transport.request(ReadInputRegistersRequest(address=start, count=count, dev_id=self._map.unit_id))
-        if len(answer.registers) != count:
-            raise ProtocolError(f"io: {len(answer.registers)} input registers in the answer where {count} were asked")
-        for index, axis in enumerate(self._axes):
-            register = self._map.temperature_registers.get(axis)
-            if register is not None:
-                self.state.temperature_degC[index] = register_to_temperature(answer.registers[register - start])
+    def _take_temperatures(self, request: ReadInputRegistersRequest) -> None:
+        registers, count = self._transport.request(request).registers, request.count
+        if len(registers) != count:
+            raise ProtocolError(f"io: {len(registers)} input registers in the answer where {count} were asked")
+        for index, register in self._thermometers:
+            self.state.temperature_degC[index] = register_to_temperature(registers[register - request.address])
 
 
 def brake_requests(io_map: IoMap) -> int:
     """Return the number of requests that write all brakes: one for each run of neighbouring coils."""
     return len(_runs(dict.fromkeys(io_map.brake_coils.values(), False)))
+
+
+def _of_axes(axes: tuple[str, ...], addresses: Mapping[str, int]) -> list[tuple[int, int]]:
+    """Return (place of the axis, address) of every axis that has one."""
+    return [(index, addresses[axis]) for index, axis in enumerate(axes) if axis in addresses]
 
 
 def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:

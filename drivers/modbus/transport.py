@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import serial
@@ -27,7 +28,10 @@ RETRIES = 1
 REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (2 + 2 * (1 + RETRIES))
 """Waiting for late answers; connecting; every try, whose time an answer in pieces doubles."""
 
-MBAP_UNIT_OFFSET, MBAP_BYTES = 6, 7
+MBAP_PROTOCOL_OFFSET, MBAP_LENGTH_OFFSET, MBAP_UNIT_OFFSET, MBAP_BYTES = 2, 4, 6, 7
+KEPT_MESSAGES = 16
+"""Requests, and answers: those of two polls are fewer."""
+
 SHOWN_BYTES = 16
 PSEUDO_TERMINALS = "/dev/pts/"
 MOST_STRAY_BYTES = 8
@@ -82,6 +86,8 @@ class Transport(Protocol):
 class InProcessTransport:
     """Transport to a device in this process, every message encoded to bytes and decoded from bytes.
 
+    A poll's requests come again and again, and mostly its answers: neither is encoded or decoded anew, so change none.
+
     Parameters
     ----------
     serve : callable
@@ -90,16 +96,20 @@ class InProcessTransport:
 
     def __init__(self, serve: Callable[[bytes], bytes]) -> None:
         self._serve = serve
-        self._framer = FramerSocket(DecodePDU(False))
+        self._framer = framer = FramerSocket(DecodePDU(False))
         self._transaction = 0
+        self._decoded = lru_cache(KEPT_MESSAGES)(_decoded)
+        self._behind_transaction = lru_cache(KEPT_MESSAGES)(lambda pdu: framer.buildFrame(pdu)[MBAP_PROTOCOL_OFFSET:])
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer."""
-        self._transaction = self._transaction % 0xFFFF + 1
-        pdu.transaction_id = self._transaction
-        said = self._serve(self._framer.buildFrame(pdu))
+        self._transaction = transaction = self._transaction % 0xFFFF + 1
+        sent: bytes = transaction.to_bytes(MBAP_PROTOCOL_OFFSET, "big") + self._behind_transaction(pdu)
+        said = self._serve(sent)
         try:
-            _, answer = self._framer.handleFrame(said, pdu.dev_id, pdu.transaction_id)
+            if _is_answer(said, sent) and (answer := self._decoded(said[MBAP_BYTES:])) is not None:
+                return answer
+            _, answer = self._framer.handleFrame(said, pdu.dev_id, transaction)
         except UNREADABLE as error:
             raise ProtocolError(f"io: the in-process device's answer is no Modbus message: {error}") from error
         if answer is None:
@@ -237,6 +247,25 @@ class ClientTransport:
         seen = _what_is_wrong(received, self._sent) if self._is_serial else _what_is_wrong_on_tcp(received)
         shown = received[:SHOWN_BYTES].hex(" ")
         return ProtocolError(f"{self.name}: {seen} ({shown}){'; check wiring, baud rate and parity' if self._is_serial else ''}")
+
+
+def _decoded(pdu: bytes) -> ModbusPDU | None:
+    """Return an answer that is no exception; None where it cannot be decoded."""
+    answer = DecodePDU.pdu_table[pdu[0]][1]()
+    try:
+        answer.decode(pdu[1:])  # `DecodePDU.decode` also puts each in words, for a log that nobody keeps
+    except UNREADABLE:
+        return None
+    return answer
+
+
+def _is_answer(said: bytes, sent: bytes) -> bool:
+    """Return whether bytes are one message with a request's transaction, unit and function, which are in the same places."""
+    return (
+        said[:MBAP_LENGTH_OFFSET] == sent[:MBAP_LENGTH_OFFSET]
+        and said[MBAP_UNIT_OFFSET : MBAP_BYTES + 1] == sent[MBAP_UNIT_OFFSET : MBAP_BYTES + 1]
+        and len(said) - MBAP_UNIT_OFFSET == int.from_bytes(said[MBAP_LENGTH_OFFSET:MBAP_UNIT_OFFSET], "big")
+    )
 
 
 def _what_is_wrong(received: bytes, sent: bytes) -> str:

@@ -27,6 +27,7 @@ from drivers.serial.xbus import (
     StreamParser,
     SyncSetting,
     TIME_TICKS_Hz,
+    Values,
     decode_output_configuration,
     decode_reading,
     encode,
@@ -165,7 +166,7 @@ class ImuDriver:
                 self.late_packets += 1
             newest = reading
             self._count(reading)
-        if newest is not None and newest.status is not None and not newest.status & STATUS_SELF_TEST_PASSED:
+        if newest is not None and newest[4] is not None and not newest[4] & STATUS_SELF_TEST_PASSED:
             self._report("reports a failed self-test")
         sample.imu_fault = self._fault
         sample.imu_damaged = self._parser.checksum_errors
@@ -174,16 +175,17 @@ class ImuDriver:
             sample.imu_time_s = float("nan")
             sample.imu_counter = -1
             return False
-        assert newest.acceleration is not None
-        assert newest.rate_of_turn is not None
+        _, _, acceleration, rate_of_turn, _ = newest
+        assert acceleration is not None
+        assert rate_of_turn is not None
         imu = sample.imu
-        imu[0], imu[1], imu[2] = newest.acceleration  # one by one: numbers cost less than slices
-        imu[3], imu[4], imu[5] = newest.rate_of_turn
+        imu[0], imu[1], imu[2] = acceleration  # one by one: numbers cost less than slices
+        imu[3], imu[4], imu[5] = rate_of_turn
         sample.imu_time_s = self._time_ticks / TIME_TICKS_Hz
         sample.imu_counter = self._counter
         return True
 
-    def _receive(self) -> Sequence[Reading]:
+    def _receive(self) -> Sequence[Values]:
         """Return the complete readings that have arrived."""
         try:
             data = self._stream.read()
@@ -226,17 +228,19 @@ class ImuDriver:
     def _report(self, fault: str) -> None:
         self._fault = self._fault or f"{self._line}: {fault}"
 
-    def _count(self, reading: Reading) -> None:
+    def _count(self, reading: Values) -> None:
         """Unwrap the packet counter and the sample time."""
-        assert reading.counter is not None
-        assert reading.time_ticks is not None
+        counter, time_ticks, _, _, _ = reading
+        assert counter is not None
+        assert time_ticks is not None
         if self._counter < 0:
-            self._counter, self._time_ticks = reading.counter, reading.time_ticks
+            self._counter, self._time_ticks = counter, time_ticks
             return
-        step = (reading.counter - self._counter) % COUNTER_MODULO
-        self.lost_packets += max(0, step - 1)
+        step = (counter - self._counter) % COUNTER_MODULO
+        if step > 1:
+            self.lost_packets += step - 1
         self._counter += step
-        self._time_ticks += (reading.time_ticks - self._time_ticks) % TIME_MODULO
+        self._time_ticks += (time_ticks - self._time_ticks) % TIME_MODULO
 
     def _go_to_config(self, wait: Callable[[float], None]) -> None:
         self._stream.read()  # old data

@@ -13,6 +13,12 @@ from drivers.serial.tcp_stream import TcpStream
 from drivers.serial_port import why_not_opened
 from drivers.tcp_url import parse_tcp_url
 
+try:
+    import fcntl
+    import termios
+except ImportError:  # on Windows, which needs neither
+    fcntl = termios = None  # type: ignore[assignment]
+
 READ_BYTES = 4096
 
 
@@ -97,9 +103,6 @@ class SerialStream:
         """
         if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
             return False
-        import fcntl  # not on Windows
-        import termios
-
         return not any(fcntl.ioctl(self._descriptor, termios.FIONREAD, bytes(4)))
 
     def write(self, data: bytes) -> None:
@@ -124,8 +127,6 @@ class SerialStream:
 
 def _tell_silence_from_hang_up(descriptor: int) -> None:
     """Make silence distinguishable from a hang-up: by default an empty read returns no bytes in both cases."""
-    import termios  # not on Windows
-
     attributes = termios.tcgetattr(descriptor)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 from typing import NamedTuple
+from zlib import adler32
 
 from drivers.errors import ProtocolError
 
@@ -21,6 +22,7 @@ BUS_IDS = (MASTER_BUS_ID, 0x01)  # 0x01: the same tracker as first device on an 
 EXTENDED_LENGTH = 0xFF
 MAX_DATA_BYTES = 2048
 TIME_TICKS_Hz = 10_000  # sample time fine
+_MOST_BYTES_OF_ADLER = 65_521 // 0xFF  # its halves are sums modulo 65,521
 MAX_RATE = 0xFFFF  # in an output configuration: as fast as the device can, or with every message
 
 
@@ -118,6 +120,10 @@ class Reading(NamedTuple):
     status: int | None
 
 
+Values = tuple[int | None, int | None, tuple[float, ...] | None, tuple[float, ...] | None, int | None]
+"""Those of a `Reading`, without their names."""
+
+
 def encode(message_id: int, data: bytes = b"") -> bytes:
     """Return the bytes of one message to or from a stand-alone tracker.
 
@@ -135,7 +141,12 @@ def encode(message_id: int, data: bytes = b"") -> bytes:
 
 def _closed(message: bytes) -> bytes:
     """Return a message behind its preamble with the checksum that makes its other bytes sum to zero modulo 256."""
-    return message + bytes((PREAMBLE - sum(message) & 0xFF,))
+    return message + (PREAMBLE - _sum(message) & 0xFF).to_bytes(1, "big")
+
+
+def _sum(data: bytes | memoryview) -> int:
+    """Return the sum of bytes: of so few, the lower half of an Adler-32 that begins at zero, which makes no number of each byte."""
+    return adler32(data, 0) & 0xFFFF if len(data) <= _MOST_BYTES_OF_ADLER else sum(data)
 
 
 class StreamParser:
@@ -167,7 +178,7 @@ class StreamParser:
             end = self._end(start, available)
             if end > available:
                 break
-            if end < 0 or sum(memoryview(buffer)[start + 1 : end]) & 0xFF:
+            if end < 0 or _sum(memoryview(buffer)[start + 1 : end]) & 0xFF:
                 self.checksum_errors += end > 0
                 self.skipped_bytes += 1
                 start += 1
@@ -178,10 +189,10 @@ class StreamParser:
         del buffer[:start]
         return messages
 
-    def whole_reading(self, data: bytes) -> Reading | None:
+    def whole_reading(self, data: bytes) -> Values | None:
         """Take received bytes that are one whole message as this bench configures it; None: `feed` has to take them."""
-        is_one = len(data) == _STANDARD_BYTES and data.startswith(_STANDARD_START) and not self._buffer
-        return _standard_reading(data, len(_STANDARD_START)) if is_one and not sum(data) - PREAMBLE & 0xFF else None
+        is_one = len(data) == _STANDARD.size + 1 and not self._buffer and _sum(data) & 0xFF == PREAMBLE
+        return _standard_reading(data) if is_one else None
 
     def give_up(self) -> list[Message]:
         """Return the messages behind a false start that still waits for its end; call this when nothing more will come."""
@@ -274,51 +285,49 @@ def decode_mtdata2(data: bytes) -> list[tuple[int, bytes]]:
     return packets
 
 
-# The layout that this bench configures, all fields in float32, has its own struct, because one message passes in every tick.
-_STANDARD = struct.Struct(">3sH3sI3s3f3s3f3sI")
-_STANDARD_HEADS = tuple(
-    struct.pack(">HB", identifier, size)
-    for identifier, size in (
-        (DataId.PACKET_COUNTER, 2),
-        (DataId.SAMPLE_TIME_FINE, 4),
-        (DataId.ACCELERATION, 12),
-        (DataId.RATE_OF_TURN, 12),
-        (DataId.STATUS_WORD, 4),
+# The message that this bench configures, all fields in float32, has its own struct, because one passes in every tick.
+_STANDARD = struct.Struct(">7sH3sI3s3f3s3f3sI")  # without its checksum
+_START = encode(MessageId.MTDATA2, bytes(_STANDARD.size - 4))[:4]
+_ONE, _TWO, _THREE, _FOUR, _FIVE = (
+    head + struct.pack(">HB", identifier, size)
+    for head, identifier, size in (
+        (_START, DataId.PACKET_COUNTER, 2),
+        (b"", DataId.SAMPLE_TIME_FINE, 4),
+        (b"", DataId.ACCELERATION, 12),
+        (b"", DataId.RATE_OF_TURN, 12),
+        (b"", DataId.STATUS_WORD, 4),
     )
 )
-_STANDARD_START = encode(MessageId.MTDATA2, bytes(_STANDARD.size))[: -_STANDARD.size - 1]
-_STANDARD_BYTES = len(_STANDARD_START) + _STANDARD.size + 1
 
 
-def _standard_reading(data: bytes, start: int) -> Reading | None:
-    """Read packets that begin at `start` and lie as this bench configures them; None where they lie otherwise."""
-    one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status = _STANDARD.unpack_from(data, start)
-    if (one, two, three, four, five) != _STANDARD_HEADS:
+def _standard_reading(message: bytes) -> Values | None:
+    """Read a message whose packets lie as this bench configures them; None where they lie otherwise."""
+    one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status = _STANDARD.unpack_from(message)
+    if one != _ONE or two != _TWO or three != _THREE or four != _FOUR or five != _FIVE:
         return None
-    return Reading(counter, time_ticks, (x, y, z), (p, q, r), status)
+    return counter, time_ticks, (x, y, z), (p, q, r), status
 
 
-def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -> bytes:
+_FLOAT32 = Precision.FLOAT32  # a name of its own is found faster
+
+
+def encode_reading(reading: Values, precision: Precision = _FLOAT32) -> bytes:
     """Return an MTData2 message with the values of a reading, in the order of its fields."""
-    if precision == Precision.FLOAT32 and None not in reading:
-        counter, time_ticks, acceleration, rate, status = reading
-        assert acceleration is not None
-        assert rate is not None
-        (x, y, z), (p, q, r) = acceleration, rate
-        one, two, three, four, five = _STANDARD_HEADS
-        values = _STANDARD.pack(one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status)
-        return _closed(_STANDARD_START + values)
+    counter, time_ticks, acceleration, rate_of_turn, status = reading
+    if precision == _FLOAT32 and acceleration is not None and rate_of_turn is not None and None not in reading:
+        (x, y, z), (p, q, r) = acceleration, rate_of_turn
+        return _closed(_STANDARD.pack(_ONE, counter, _TWO, time_ticks, _THREE, x, y, z, _FOUR, p, q, r, _FIVE, status))
     packets: list[tuple[int, bytes]] = []
-    if reading.counter is not None:
-        packets.append((DataId.PACKET_COUNTER, struct.pack(">H", reading.counter)))
-    if reading.time_ticks is not None:
-        packets.append((DataId.SAMPLE_TIME_FINE, struct.pack(">I", reading.time_ticks)))
-    if reading.acceleration is not None:
-        packets.append((DataId.ACCELERATION | precision, pack_reals(reading.acceleration, precision)))
-    if reading.rate_of_turn is not None:
-        packets.append((DataId.RATE_OF_TURN | precision, pack_reals(reading.rate_of_turn, precision)))
-    if reading.status is not None:
-        packets.append((DataId.STATUS_WORD, struct.pack(">I", reading.status)))
+    if counter is not None:
+        packets.append((DataId.PACKET_COUNTER, struct.pack(">H", counter)))
+    if time_ticks is not None:
+        packets.append((DataId.SAMPLE_TIME_FINE, struct.pack(">I", time_ticks)))
+    if acceleration is not None:
+        packets.append((DataId.ACCELERATION | precision, pack_reals(acceleration, precision)))
+    if rate_of_turn is not None:
+        packets.append((DataId.RATE_OF_TURN | precision, pack_reals(rate_of_turn, precision)))
+    if status is not None:
+        packets.append((DataId.STATUS_WORD, struct.pack(">I", status)))
     return encode_mtdata2(packets)
 
 
@@ -330,8 +339,8 @@ def decode_reading(data: bytes) -> Reading:
     ProtocolError
         A packet is cut off or has the wrong size.
     """
-    if len(data) == _STANDARD.size and (reading := _standard_reading(data, 0)) is not None:
-        return reading
+    if len(data) == _STANDARD.size - len(_START) and (values := _standard_reading(_START + data)) is not None:
+        return Reading(*values)
     counter = time_ticks = status = None
     acceleration = rate_of_turn = None
     for identifier, value in decode_mtdata2(data):

@@ -7,21 +7,13 @@ TCP/IP Implementation Guide V1.0b, sec. 3.1.3; Modbus over Serial Line V1.02, se
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 MBAP = struct.Struct(">HHHB")
+MBAP_BYTES = MBAP.size
 MODBUS_PROTOCOL = 0
 MAX_PDU_BYTES = 253
 RTU_MIN_BYTES = 4
 RTU_MAX_BYTES = 256
-
-
-class TcpRequest(NamedTuple):
-    """One request out of a TCP stream."""
-
-    transaction: int
-    unit_id: int
-    pdu: bytes
 
 
 class TcpFraming:
@@ -31,24 +23,23 @@ class TcpFraming:
     """
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
+        self._begun = b""  # of a request that is not complete
         self.broken = False
 
-    def feed(self, data: bytes) -> list[TcpRequest]:
-        """Add received bytes and return the requests that are complete."""
-        buffer = self._buffer
-        buffer += data
-        requests = []
-        while len(buffer) >= MBAP.size and not self.broken:
-            transaction, protocol, length, unit_id = MBAP.unpack_from(buffer)
+    def feed(self, data: bytes) -> list[tuple[int, int, bytes]]:
+        """Add received bytes and return the requests that are complete, each as (transaction, unit id, PDU)."""
+        data, start, requests = self._begun + data, 0, []
+        while len(data) - start >= MBAP_BYTES and not self.broken:
+            transaction, protocol, length, unit_id = MBAP.unpack_from(data, start)
             if protocol != MODBUS_PROTOCOL or not 2 <= length <= MAX_PDU_BYTES + 1:
                 self.broken = True
                 break
-            end = MBAP.size - 1 + length
-            if len(buffer) < end:
+            end = start + MBAP_BYTES - 1 + length
+            if len(data) < end:
                 break
-            requests.append(TcpRequest(transaction, unit_id, bytes(buffer[MBAP.size : end])))
-            del buffer[:end]
+            requests.append((transaction, unit_id, data[start + MBAP_BYTES : end]))
+            start = end
+        self._begun = data[start:]
         return requests
 
 

@@ -9,6 +9,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -94,8 +95,19 @@ class EmulatedIo:
         self._followed: list[bool] = []  # the coils with which every brake has arrived
         self._word = FIRST_WORD
         self._refreshed = False  # since the last `advance`
-        self._falls_s = -math.inf  # when the outputs fall unless refreshed
+        self._falls_s = math.inf if layout.watchdog_register is None else -math.inf  # when the outputs fall unless refreshed
+        self._loop_back = layout.loop_back
         self._tcp = TcpFraming()
+        self._functions: dict[int, Callable[[bytes], bytes]] = {
+            FunctionCode.READ_COILS: partial(_read_bits, self.coils),
+            FunctionCode.READ_DISCRETE_INPUTS: partial(_read_bits, self.discrete_inputs),
+            FunctionCode.READ_INPUT_REGISTERS: partial(_read_registers, self.input_registers),
+            FunctionCode.WRITE_SINGLE_COIL: partial(_write_coil, self.coils),
+            FunctionCode.WRITE_MULTIPLE_COILS: partial(_write_coils, self.coils),
+        }
+        if layout.watchdog_register is not None:
+            self._functions[FunctionCode.READ_HOLDING_REGISTERS] = self._read_word
+            self._functions[FunctionCode.WRITE_SINGLE_REGISTER] = self._refresh
         self.malformed = 0  # connections and serial frames dropped because they do not speak Modbus
         self.set_hold_to_run(True)
         self.set_door(True)
@@ -128,14 +140,15 @@ class EmulatedIo:
 
     def advance(self, time_s: float) -> None:
         """Move machine time to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows the brakes."""
+        coils = self.coils
         if self._refreshed:
             self._refreshed, self._falls_s = False, time_s + self.layout.watchdog_timeout_s
-        if self.layout.watchdog_register is not None and time_s >= self._falls_s:
-            self.coils[:] = [False] * len(self.coils)
-        if self.layout.loop_back is not None:
-            coil, looped = self.layout.loop_back
-            self.discrete_inputs[looped] = self.coils[coil]
-        if self.coils != self._followed:
+        if time_s >= self._falls_s:
+            coils[:] = [False] * len(coils)
+        if self._loop_back is not None:
+            coil, looped = self._loop_back
+            self.discrete_inputs[looped] = coils[coil]
+        if coils != self._followed:
             self._follow(time_s)
 
     def _follow(self, time_s: float) -> None:
@@ -195,28 +208,18 @@ class EmulatedIo:
 
     def serve_pdu(self, pdu: bytes) -> bytes:
         """Carry out one request and return the answer or an exception answer."""
-        function = pdu[0]
+        carry_out = self._functions.get(pdu[0])
         try:
-            return bytes((function,)) + self._carry_out(function, pdu[1:])
+            if carry_out is None:
+                raise _RefusalError(ExceptionCode.ILLEGAL_FUNCTION)
+            return pdu[:1] + carry_out(pdu[1:])
         except _RefusalError as refusal:
-            return bytes((function | 0x80, refusal.code))
+            return bytes((pdu[0] | 0x80, refusal.code))
 
-    def _carry_out(self, function: int, data: bytes) -> bytes:
-        if function == FunctionCode.READ_DISCRETE_INPUTS:
-            return _read_bits(self.discrete_inputs, data)
-        if function == FunctionCode.READ_INPUT_REGISTERS:
-            return _read_registers(self.input_registers, data)
-        if function == FunctionCode.READ_COILS:
-            return _read_bits(self.coils, data)
-        if function == FunctionCode.READ_HOLDING_REGISTERS and self.layout.watchdog_register is not None:
-            return _read_registers([0] * self.layout.watchdog_register + [self._word], data)
-        if function == FunctionCode.WRITE_SINGLE_REGISTER and self.layout.watchdog_register is not None:
-            return self._refresh(data)
-        if function == FunctionCode.WRITE_SINGLE_COIL:
-            return _write_coil(self.coils, data)
-        if function == FunctionCode.WRITE_MULTIPLE_COILS:
-            return _write_coils(self.coils, data)
-        raise _RefusalError(ExceptionCode.ILLEGAL_FUNCTION)
+    def _read_word(self, data: bytes) -> bytes:
+        """Show the word; the holding registers before it are zero."""
+        assert self.layout.watchdog_register is not None
+        return _read_registers([0] * self.layout.watchdog_register + [self._word], data)
 
     def _refresh(self, data: bytes) -> bytes:
         """Take a word; only the one that follows the word shown keeps the outputs on."""
@@ -248,7 +251,9 @@ def _range(data: bytes, size: int, available: int, most: int) -> tuple[int, int]
 
 def _read_bits(bits: list[bool], data: bytes) -> bytes:
     address, count = _range(data, 4, len(bits), MAX_READ_BITS)
-    packed = sum(bit << position for position, bit in enumerate(bits[address : address + count]))
+    packed = 0
+    for bit in reversed(bits[address : address + count]):
+        packed = packed << 1 | bit
     size = (count + 7) // 8
     return bytes((size,)) + packed.to_bytes(size, "little")
 

@@ -150,6 +150,35 @@ def test_an_answer_that_is_none_is_a_protocol_error(answer: bytes) -> None:
     assert (driver.malformed, sample.io_age_s) == (1, np.inf)
 
 
+def test_an_answer_that_was_good_before_is_none_to_the_next_request() -> None:
+    device, said = emulated_io(), []
+
+    def repeats_itself(request: bytes) -> bytes:
+        said.append(device.serve(request))
+        return said[0]
+
+    transport, request = InProcessTransport(repeats_itself), ReadDiscreteInputsRequest(**REQUEST)
+    assert transport.request(request).bits[:2] == [True, True]
+    with pytest.raises(ProtocolError, match="is no Modbus message"):
+        transport.request(request)
+
+
+def test_an_answer_that_is_shorter_than_it_says_is_none() -> None:
+    transport = InProcessTransport(lambda request: request[:5] + b"\x09" + request[6:8] + b"\x01\x03")
+    with pytest.raises(ProtocolError, match="is no Modbus message"):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
+def test_an_answer_is_read_anew_when_it_changes_and_when_it_changes_back() -> None:
+    device = emulated_io()
+    transport, request, doors = InProcessTransport(device.serve), ReadDiscreteInputsRequest(**REQUEST), (True, False, True, True)
+    seen = []
+    for closed in doors:
+        device.set_door(closed)
+        seen.append(transport.request(request).bits[1])
+    assert seen == list(doors)
+
+
 # ---- over TCP -------------------------------------------------------------------------------------------
 
 
