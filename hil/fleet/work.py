@@ -125,12 +125,11 @@ def _repeats(recordings: Mapping[str, Recording]) -> list[list[Recording]]:
 @functools.lru_cache(maxsize=32)
 def _modes_Hz(text: str, path: str | None, pose: tuple[float, ...]) -> tuple[float, ...]:
     """Return the lightly damped modes of a machine file, rising [Hz]."""
-    from hil.experiments.plan import pose_array
-    from virtual_bus.physics import Physics
+    from hil.verbs.machine import linear_plant
 
     machine = _machine(text, path)
     at = dict(zip(machine.axes, pose, strict=True)) if pose else {}
-    poles = np.linalg.eigvals(Physics(machine.plant, noise=False).linear(pose_array(machine, at)).A)
+    poles = np.linalg.eigvals(linear_plant(machine, at).A)
     light = poles[(poles.imag > 0.0) & (-poles.real < WELL_DAMPED * np.abs(poles))]
     return tuple(float(one) for one in np.sort(np.abs(light)) / (2.0 * np.pi))
 
