@@ -103,10 +103,15 @@ def _with_imports(name: str) -> frozenset[Path]:
     return frozenset(found.values())
 
 
-def _imported(file: Path, name: str) -> Iterator[str]:
-    """Yield the project names that a file imports; `_source_file` later drops those that are functions, not modules."""
+@functools.cache
+def _imported(file: Path, name: str) -> tuple[str, ...]:
+    """Return the project names that a file imports; `_source_file` later drops those that are functions, not modules."""
+    return tuple(dict.fromkeys(_named(file, name)))
+
+
+def _named(file: Path, name: str) -> Iterator[str]:
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(_tree(file)):
+    for node in ast.walk(ast.parse(_text(file), str(file))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -125,11 +130,6 @@ def _source_file(name: str) -> Path | None:
     except ModuleNotFoundError:  # a function of a module
         return None
     return Path(found.origin) if found is not None and found.origin is not None and found.origin.endswith(".py") else None
-
-
-@functools.cache
-def _tree(file: Path) -> ast.Module:
-    return ast.parse(_text(file), str(file))
 
 
 @functools.cache

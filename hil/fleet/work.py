@@ -125,11 +125,11 @@ def _repeats(recordings: Mapping[str, Recording]) -> list[list[Recording]]:
 @functools.lru_cache(maxsize=32)
 def _modes_Hz(text: str, path: str | None, pose: tuple[float, ...]) -> tuple[float, ...]:
     """Return the lightly damped modes of a machine file, rising [Hz]."""
-    from hil.verbs.machine import open_machine
+    from hil.verbs.machine import linear_plant
 
     machine = _machine(text, path)
     at = dict(zip(machine.axes, pose, strict=True)) if pose else {}
-    poles = np.linalg.eigvals(np.asarray(open_machine(machine).plant_at(at).A))
+    poles = np.linalg.eigvals(linear_plant(machine, at).A)
     light = poles[(poles.imag > 0.0) & (-poles.real < WELL_DAMPED * np.abs(poles))]
     return tuple(float(one) for one in np.sort(np.abs(light)) / (2.0 * np.pi))
 

@@ -23,6 +23,8 @@ from hil.verbs.recordings import Recordings
 if TYPE_CHECKING:
     import control
 
+    from virtual_bus.linear.plant import LinearPlant
+
 
 @dataclass(frozen=True)
 class OpenMachine(Machine):
@@ -144,9 +146,7 @@ class OpenMachine(Machine):
         pose : mapping, optional
             Positions by axis name [rad or m]; axes left out stand at zero.
         """
-        from virtual_bus.physics import Physics  # here because it compiles the plant
-
-        return Physics(self.plant, noise=False).linearise(pose_array(self, pose or {}))
+        return linear_plant(self, pose or {}).state_space()
 
     @as_bench_errors()
     def controller(self, axis: str) -> control.TransferFunction:
@@ -167,6 +167,13 @@ class OpenMachine(Machine):
         for section in np.atleast_2d(found[axis].position_sections):
             whole *= control.tf(section[:3], section[3:], dt=1.0 / self.sample_rate_Hz)
         return whole
+
+
+def linear_plant(machine: Machine, pose: Mapping[str, float]) -> LinearPlant:
+    """Return the plant, linear about rest at a pose by axis name [rad or m], for who has no need of python-control."""
+    from virtual_bus.physics import Physics  # here because it compiles the plant
+
+    return Physics(machine.plant, noise=False).linear(pose_array(machine, pose))
 
 
 @as_bench_errors()

@@ -78,16 +78,21 @@ def codes(cell: str) -> list[str]:
     return re.findall(r"`([^`]+)`", cell)
 
 
+@pytest.fixture(scope="module")
+def made() -> dict[str, str]:
+    """The pages as the code makes them."""
+    return pages()
+
+
 class TestPages:
     """What is on disk is what the code says."""
 
-    def test_they_are_fresh(self) -> None:
+    def test_they_are_fresh(self, made: dict[str, str]) -> None:
         """`python -m docs.generate` makes them so."""
-        assert differences(pages()) == []
+        assert differences(made) == []
 
-    def test_making_them_twice_gives_the_same(self) -> None:
+    def test_making_them_twice_gives_the_same(self, made: dict[str, str]) -> None:
         """No date, no order of a set, no path of this computer."""
-        made = pages()
         assert made == pages()
         assert [name for name, text in made.items() if str(ROOT) in text] == []
 
@@ -173,12 +178,12 @@ class TestMachineFile:
             for key_cell, unit_cell, *_ in rows_under(text, heading):
                 stem = codes(key_cell)[0]
                 keys = [stem.replace("UNIT", unit) for unit in codes(unit_cell)] or [stem]
-                for key in keys[:1] + [str(each) for each in RANDOM.choice(keys, 1)]:
+                for key in {keys[0], str(RANDOM.choice(keys))}:
                     said = self.complaint(heading, key)
                     assert "unknown key" not in said, said
                     assert "unknown unit" not in said, said
                     asked += 1
-        assert asked > 200
+        assert asked > 190  # none of them twice
 
     @pytest.mark.parametrize(
         ("heading", "key"), [("`[timing]`", "sample_rate_kg"), ("`[drives.AXIS]`", "limitation"), ("Top level", "buses")]

@@ -126,11 +126,11 @@ class Truth:
         """Take a frame of the bench: whether it takes the voltage from a drive that holds, and whether the brake holds what it held."""
         if can_id == RPDO and len(data) == 4:
             (self._word, _) = struct.unpack("<Hh", data)
-        holds = self._drive.power_state in HOLDING and not self.machine.efforts.at(AXIS)
-        held = self.held_by_its_brake()
+        may_take = can_id == NMT or (can_id == SYNC and command_of(self._word) in TAKES_VOLTAGE)
+        holds = may_take and self._drive.power_state in HOLDING and not self.machine.efforts.at(AXIS)
+        held = not holds or self.held_by_its_brake()
         self._hear(can_id, data)
-        taken = can_id in (SYNC, NMT) and holds and self._drive.power_state not in HOLDING
-        if taken and not held and (can_id == NMT or command_of(self._word) in TAKES_VOLTAGE):
+        if holds and not held and self._drive.power_state not in HOLDING:
             what = f"controlword {self._word:04X}h" if can_id == SYNC else f"NMT {data.hex()}"
             self.taken.append(f"{self.machine.time_s:.2f} s: {what} at {self.position:+.3f} rad, brake {self.machine.brakes.share}")
 
