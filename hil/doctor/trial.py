@@ -30,7 +30,6 @@ from hil.machine import Machine
 from hil.processes.real_time import real_time
 
 GROUP = "239.74.163.250"
-EMULATE = (sys.executable, "-m", "hil", "emulate")
 READY_S = 60.0
 """Longest wait for the emulator, which may compile the machine's plant first."""
 END_S = 10.0
@@ -88,7 +87,7 @@ def _emulator(machine: Machine, folder: Path) -> Iterator[str]:
     file = folder / "machine.toml"
     file.write_text(machine.text, encoding="utf-8")
     named = machine.path if machine.path is not None else file  # a file may name data sheets beside it
-    words = [*EMULATE, str(named), "--bus", bus, "--json", "-"]
+    words = [sys.executable, "-m", "hil", "emulate", str(named), "--bus", bus, "--json", "-"]
     with (folder / "emulator").open("w+", encoding="utf-8") as said:
         process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=said, text=True)
         assert process.stdout is not None

@@ -11,7 +11,6 @@ from bench_machines import CARM, edited, patient_text
 from command_line import Isocenter
 
 from hil.doctor import examine as examination
-from hil.doctor import trial as tried
 from hil.doctor import wire
 from hil.doctor.examine import examine
 from hil.doctor.trial import wake_ups
@@ -25,15 +24,11 @@ TRIALS = 3
 def test_the_loop_is_tried_on_an_emulated_machine_whatever_addresses_the_machine_file_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, isocenter: Isocenter
 ) -> None:
-    """IMU and I/O of the file are not there: opened, they would end the trial. Benches of other tests are not looked for.
-
-    The emulator sleeps between SYNCs: awake, it would take a processor of the other tests, and the times here are as good late.
-    """
+    """IMU and I/O of the file are not there: opened, they would end the trial. Benches of other tests are not looked for."""
     text = edited('^device = ""', 'device = "/dev/ttyNONE0"', patient_text())
     machine = tmp_path / "mine.toml"
     machine.write_text(edited('^url = ""', 'url = "tcp:192.0.2.7:502"', text))
     monkeypatch.setattr(wire, "benches", lambda root: 0)
-    monkeypatch.setattr(tried, "EMULATE", (*tried.EMULATE, "--no-real-time"))
     monkeypatch.chdir(tmp_path)
     for _ in range(TRIALS):
         outcome = isocenter("doctor", "-m", machine, "--seconds", 4.0, "--json", "-")
