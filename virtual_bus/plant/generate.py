@@ -100,7 +100,7 @@ class PlantText:
 
 _written: dict[Hashable, PlantText] = {}
 KEPT = 16
-"""Plants of so many structures. To write one out takes 20 ms, and a diagnosis or a design asks for hundreds that differ in numbers alone."""
+"""Plants of so many structures. To write one out takes 20 ms; a diagnosis or a design asks for hundreds that differ in numbers alone."""
 
 
 def plant_text(settings: PlantSettings) -> PlantText:
