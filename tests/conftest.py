@@ -16,7 +16,7 @@ LONGEST_FIRST = ("vcan", "diagnosis", "observers", "observing", "effects", "benc
 workers have nothing to do."""
 
 
-SHARED = ("with_friction", "design", "machines")
+SHARED = ("with_friction", "hard_design", "design", "machines")
 """Fixtures that take a quarter of a minute and serve several files: with `--dist loadgroup` one worker runs all files that ask for one."""
 
 

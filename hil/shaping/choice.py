@@ -141,6 +141,7 @@ def choose_shaper(
     output: str = "link",
     quiet_Hz: tuple[float, float] = QUIET_BAND_Hz,
     also: Sequence[str] = (),
+    take: str | None = None,
 ) -> ShaperChoice:
     """Design reference shapers for one axis, judge them, and choose the recommended one.
 
@@ -163,21 +164,25 @@ def choose_shaper(
         Band that the quiet design passes least in.
     also : sequence of str
         Designs beside the usual ones: "shortest", "dc", "zpetc", "zmetc".
+    take : str, optional
+        Design to choose in place of the recommended one.
 
     Raises
     ------
     RequestError
         No such axis, or a pose or schedule beside a frequency response.
     DesignError
-        Nothing can be designed for this loop.
+        Nothing can be designed for this loop, or there is no design named `take`.
     """
     check_request(machine, axis, schedule, pose or {}, frf is not None)
     aim = aim or sweep()
     subjects = subjects_of(machine, axis, pose or {}, frf, schedule, output)
     candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz, also)
+    if take:
+        candidates.named(take)  # refused before moves are simulated, which takes seconds
     if subjects.poses is not None and machine.controllers:
         candidates = as_simulated(machine, axis, subjects, candidates)
-    chosen = candidates.designs[0]
+    chosen = candidates.named(take) if take else candidates.designs[0]
     from_what = "an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file"
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": from_what, "output": output}
     return ShaperChoice(machine, axis, aim, subjects, candidates, chosen, {**notes, "verdict": chosen.verdict.line})

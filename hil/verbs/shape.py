@@ -198,8 +198,8 @@ def choose(request: ShapeRequest, listener: Listener = NOBODY) -> ShaperChoice:
             output=request.output,
             quiet_Hz=request.quiet_Hz,
             also=request.also,
+            take=request.take,
         )
-    choice = choice.named(request.take) if request.take else choice
     source = f"{EMULATED if frf is not None and frf.emulated else ''}{_source(choice, request.frf)}"
     return replace(choice, notes={**choice.notes, "source": source})
 

@@ -24,29 +24,30 @@ NEEDS = {"": "", "spring": " with a sprung joint", "neighbour": " beside another
 
 def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSettings, where: str = "effects") -> tuple[EffectSetting, ...]:
     """Bind the effects of an effects file to one machine."""
-    bound: list[EffectSetting] = []
+    bound: dict[tuple[object, ...], EffectSetting] = {}
     for number, entry in enumerate(entries, start=1):
         setting = _bind(entry, settings, f"{where}: effect {number}")
-        if any(_is_the_same(setting, other) for other in bound):
+        if _which(setting) in bound:
             raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; once is enough")
-        bound.append(setting)
-    return tuple(bound)
+        bound[_which(setting)] = setting
+    return tuple(bound.values())
 
 
 def check_apart(bound: Iterable[EffectSetting], own: Sequence[EffectSetting], where: str) -> None:
     """Raise EffectError where an effect is one that the machine file states already."""
+    stated = {_which(setting) for setting in own}
     for setting in bound:
-        if any(_is_the_same(setting, other) for other in own):
+        if _which(setting) in stated:
             raise EffectError(f"{where}: {setting.name} at {setting.at!r} is in the machine file already; leave it out, or change it there")
 
 
-def _is_the_same(one: EffectSetting, other: EffectSetting) -> bool:
-    """Return whether two settings are one effect at one place.
+def _which(setting: EffectSetting) -> tuple[object, ...]:
+    """Return what two settings share that are one effect at one place.
 
     Of effects that may act there several times, only those with the same value of the parameter `several` names are one.
     """
-    apart = effects()[one.name].several
-    return (one.name, one.at) == (other.name, other.at) and (not apart or one.parameters[apart] == other.parameters[apart])
+    apart = effects()[setting.name].several
+    return setting.name, setting.at, setting.parameters[apart] if apart else None
 
 
 def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[dict[str, object]]:

@@ -28,20 +28,19 @@ import inspect
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import ModuleType
 
 import numpy as np
 
 from virtual_bus.compilation import jit
-from virtual_bus.compilation.cache_keys import Same
 from virtual_bus.compilation.generated_modules import load_generated
 from virtual_bus.effects import motion, table
 from virtual_bus.effects.dispatch import dispatch_sources
 from virtual_bus.errors import EffectError, PlantError
 from virtual_bus.plant import drives, friction, integrator, linear, reactions, readings, records, terms
 from virtual_bus.plant.checks import check_plant
-from virtual_bus.plant.generate import PlantText, plant_text
+from virtual_bus.plant.generate import plant_text
 from virtual_bus.plant.low_pass import fill_low_pass
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -394,15 +393,6 @@ def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(products[at_most >= at_least]).max(initial=0.0))
 
 
-@lru_cache(maxsize=16)
-def _text_of(settings: Same[PlantSettings]) -> PlantText:
-    """Return the generated source of a plant, remembered by its settings object.
-
-    Writing the equations takes 20 ms, and a diagnosis asks for the plant of one machine many times.
-    """
-    return plant_text(settings.it)
-
-
 def compile_plant(settings: PlantSettings) -> CompiledPlant:
     """Generate and compile the plant of these settings, or load it from an earlier time.
 
@@ -412,7 +402,7 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
         The settings are no plant: see `check_plant`.
     """
     check_plant(settings)
-    generated = _text_of(Same(settings))
+    generated = plant_text(settings)
     sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources()
     module, derive = load_generated("plant", generated.text, sources), load_generated("constants", generated.derive).derive
     return CompiledPlant(settings, plant_parameters(settings), module, derive, generated.constant_count)

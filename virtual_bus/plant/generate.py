@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+
+import numpy as np
 
 from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.plant.emit import Emitter
@@ -95,13 +98,45 @@ class PlantText:
     constant_count: int
 
 
+_written: dict[Hashable, PlantText] = {}
+KEPT = 16
+"""Plants of so many structures. To write one out takes 20 ms; a diagnosis or a design asks for hundreds that differ in numbers alone."""
+
+
 def plant_text(settings: PlantSettings) -> PlantText:
-    """Write out the equations of a plant.
+    """Write out the equations of a plant, or return what was written for another one that differs in the values of its parameters alone.
 
     The module's `mass_and_bias(model, work)` (`equations` with the effects' terms), `imu(model, work)` and `poses(model, work)` evaluate
     them at work.query_position, query_speed and query_acceleration: into work.mass (lower half) and bias, into reading, and into poses.
     `derive(p, c)` computes model.constants from the parameters, and is not compiled. The rest is the calling convention of `compiled.py`.
     """
+    structure = structure_of(settings)
+    written = _written.get(structure)
+    if written is None:
+        if len(_written) >= KEPT:
+            _written.clear()
+        written = _written[structure] = _write(settings)
+    return written
+
+
+def structure_of(settings: PlantSettings) -> Hashable:
+    """Return all of a plant that its text depends on."""
+    tree = settings.tree
+    return (
+        tuple(parameter.name for parameter in plant_parameters(settings)),
+        tuple((body.name, body.parent, _bytes(body.orientation), body.joint is None) for body in tree.bodies),
+        tuple((joint.name, joint.kind, _bytes(joint.axis)) for joint in tree.joints),
+        tuple(drive.joint for drive in settings.drives),
+        tuple((imu.name, imu.body, _bytes(imu.orientation)) for imu in settings.imus),
+        tuple(settings.watched_bodies),
+    )
+
+
+def _bytes(values: np.ndarray) -> bytes:
+    return np.asarray(values, dtype=float).tobytes()
+
+
+def _write(settings: PlantSettings) -> PlantText:
     equations = PlantEquations(settings, tuple(parameter.name for parameter in plant_parameters(settings)))
     emitter = Emitter()
     count = len(settings.tree.joints)

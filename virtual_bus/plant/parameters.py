@@ -77,7 +77,9 @@ STRUCTURAL = ("position", "center_of_mass", "inertia")
 def plant_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
     """Return every run-time number of a plant, in the order of its parameter vector."""
     tolerances = dict(settings.tolerances)
-    found = [replace(parameter, tolerance=tolerances.get(parameter.name)) for parameter in possible_parameters(settings)]
+    found = possible_parameters(settings)
+    if tolerances:
+        found = tuple(replace(parameter, tolerance=tolerances.get(parameter.name)) for parameter in found)
     return tuple(p for p in found if p.value != 0.0 or p.tolerance is not None or not _is_structural(p))
 
 

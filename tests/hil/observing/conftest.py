@@ -1,4 +1,4 @@
-"""One observer of the emulated C-arm around roll 0 for all tests here: identifying it takes a quarter of a minute."""
+"""Observers that several files here ask for: identifying or designing one takes a quarter of a minute or more."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hil
 from hil.experiments import Scan, Static
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, design_observer, tune
@@ -21,7 +22,7 @@ POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whatever asks for the observer is slow: the first of them waits for it."""
     for item in items:
-        if isinstance(item, pytest.Function) and item.path.is_relative_to(HERE) and "design" in item.fixturenames:
+        if isinstance(item, pytest.Function) and item.path.is_relative_to(HERE) and {"design", "hard_design"} & set(item.fixturenames):
             item.add_marker(pytest.mark.slow)
 
 
@@ -40,3 +41,9 @@ def design(machine: Machine) -> ObserverDesign:
     sweep = emulated_recording(machine, Scan("roll", -0.6, 0.6, np.radians(45.0), sweeps=2).plans(machine)[0], 62, simulator)
     untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3, sweeps=[sweep])
     return dataclasses.replace(untuned, noise=tune(untuned.model, untuned.noise, [scan], evaluations=60).noise)
+
+
+@pytest.fixture(scope="session")
+def hard_design() -> ObserverDesign:
+    """That of one command for the arm with friction, play and sensors' errors; making it takes half a minute."""
+    return hil.design_observer("carm-real")

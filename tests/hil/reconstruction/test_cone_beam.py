@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow  # the toolkit takes a quarter of a minute to load
 
 DETECTOR = Detector(columns=160, rows=160, pitch_m=1.0e-3)
 PANEL = Panel(columns=160, rows=160, pitch_m=1.0e-3)
-pytest.importorskip("itk")
+itk = pytest.importorskip("itk")
 
 
 def scan(axis: str, count: int = 90, seed: int | None = None) -> ConeBeam:
@@ -42,6 +42,32 @@ def scan(axis: str, count: int = 90, seed: int | None = None) -> ConeBeam:
 def projections(beam: ConeBeam, items: list[Ball | Rod]) -> np.ndarray:
     views = [View(beam.source_in_phantom_m[k], beam.detector_in_phantom_m[k], beam.rotation[k]) for k in range(len(beam))]
     return np.array([attenuation(view, PANEL, items, rays=1) for view in views])
+
+
+def test_rtk_projects_the_same_balls() -> None:
+    panel = Panel(columns=201, rows=161, pitch_m=0.5e-3)
+    rng = np.random.default_rng(4)
+    turn = Rotation.from_euler("xyz", [0.2, -0.5, 0.1]).as_matrix()
+    view = View(turn @ np.array([0.004, -0.003, -0.81]), turn @ np.array([0.0, 0.0, 0.35]), turn)
+    image_type = itk.Image[itk.F, 3]
+    geometry = itk.RTK.ThreeDCircularProjectionGeometry.New()
+    point, vector = itk.Point[itk.D, 3], itk.Vector[itk.D, 3]
+    geometry.AddProjection(point(1e3 * view.source_m), point(1e3 * view.panel_m), vector(turn[:, 0]), vector(turn[:, 1]))
+    stack = itk.RTK.ConstantImageSource[image_type].New()
+    stack.SetSpacing([0.5, 0.5, 1.0])
+    stack.SetSize([201, 161, 1])
+    stack.SetOrigin([-50.0, -40.0, 0.0])
+    ball = Ball(rng.uniform(-0.02, 0.02, 3), 0.02, 0.3)
+    shape = itk.RTK.RayEllipsoidIntersectionImageFilter[image_type, image_type].New()
+    shape.SetInput(stack.GetOutput())
+    shape.SetGeometry(geometry)
+    shape.SetCenter(vector(1e3 * ball.center_m))
+    shape.SetAxis(vector([20.0, 20.0, 20.0]))
+    shape.SetDensity(0.3)
+    shape.Update()
+    expected = itk.array_from_image(shape.GetOutput())[0]
+    ours = attenuation(view, panel, [ball], rays=1) * 1e3  # RTK counts millimetres
+    np.testing.assert_allclose(ours, expected, atol=1e-5 * expected.max())
 
 
 @pytest.mark.parametrize("axis", ["y", pytest.param("x", marks=pytest.mark.nightly)])

@@ -16,6 +16,7 @@ from small_plants import BLOCK_MASS_kg, block, gantry
 from hil.machine.load import load_machine
 from virtual_bus.errors import PlantError
 from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.generate import plant_text
 from virtual_bus.settings import Body, PlantSettings
 
 
@@ -103,3 +104,36 @@ def test_stiff_joints_get_more_inner_steps_and_ring_down_as_they_should() -> Non
         plant.advance(state, np.zeros(1), np.zeros(1), model, work)
     amplitude = np.hypot(state[0], state[1] / np.sqrt(stiffness / BLOCK_MASS_kg))
     assert amplitude == pytest.approx(1e-3 * np.exp(-damping / (2.0 * BLOCK_MASS_kg) * 64.0 / 256.0), rel=0.01)
+
+
+def _changed(settings: PlantSettings) -> dict[str, PlantSettings]:
+    """Plants that differ from this one in one thing that its equations show."""
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tree, last = settings.tree, settings.tree.bodies[-1]
+    moving = next(body for body in tree.bodies if body.joint is not None)
+    assert moving.joint is not None
+    slides = "prismatic" if moving.joint.kind == "revolute" else "revolute"
+    return {
+        "parent": with_body(settings, last.name, parent=tree.bodies[0].name),
+        "orientation": with_body(settings, last.name, orientation=last.orientation @ turned),
+        "welded": with_body(settings, last.name, joint=None),
+        "axis": with_body(settings, moving.name, joint=replace(moving.joint, axis=np.roll(moving.joint.axis, 1))),
+        "kind": with_body(settings, moving.name, joint=replace(moving.joint, kind=slides)),
+        "a zero": with_body(settings, last.name, center_of_mass_m=np.zeros(3), position_m=np.zeros(3)),
+        "gravity": replace(settings, tree=replace(tree, gravity_m_s2=np.roll(tree.gravity_m_s2, 1))),
+        "drives": replace(settings, drives=settings.drives[::-1]),
+        "an IMU's axes": replace(settings, imus=tuple(replace(imu, orientation=imu.orientation @ turned) for imu in settings.imus)),
+        "an IMU's body": replace(settings, imus=tuple(replace(imu, body=moving.name) for imu in settings.imus)),
+        "no IMU": replace(settings, imus=settings.imus[1:]),
+        "watched": replace(settings, watched_bodies=(tree.bodies[0].name,)),
+    }
+
+
+def test_plants_share_what_is_written_if_they_differ_in_numbers_alone() -> None:
+    settings = load_machine("carm").plant
+    heavier = replace(
+        settings, tree=replace(settings.tree, bodies=tuple(replace(b, mass_kg=1.1 * b.mass_kg) for b in settings.tree.bodies))
+    )
+    assert plant_text(heavier) is plant_text(settings)
+    for what, changed in _changed(settings).items():
+        assert plant_text(changed) != plant_text(settings), what
