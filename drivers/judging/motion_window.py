@@ -191,11 +191,16 @@ class MotionWindow:
 
     def rehearse(self) -> bool:
         """Compare what is there, without consequence and once, where the next sample ends a window; return whether it did so."""
-        if self._is_rehearsed or self._tick != self.ticks - 1:
+        if not self.is_to_rehearse:
             return False
         self._is_rehearsed = True
         self._expected()
         return True
+
+    @property
+    def is_to_rehearse(self) -> bool:
+        """Whether the next sample ends a window, and that has not been rehearsed."""
+        return self._tick == self.ticks - 1 and not self._is_rehearsed
 
     def _expected(self) -> tuple[Means, Expected] | None:
         """Return the means of the window and what is expected of them; None where readings of its axes are missing."""
