@@ -16,6 +16,9 @@ from virtual_bus.inverse_dynamics import along_sources, efforts, readings, rub
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.records import Equations
 
+SCRATCH_ROWS = 8
+"""Of a motion: position, speed, acceleration, deviation of the speed, given effort; needed effort, friction, its variance."""
+
 ENTRY_POINT = '''"""Generated: what is expected of one plant at an instant of a motion; do not edit."""
 
 from EFFECTS import friction_of, reaction_of
@@ -56,7 +59,7 @@ def expect(
         The joint that moves as an axis's motor side, and the one that moves as its link does beyond that, -1 without one.
     scale : (axes,) array
         Joint effort in one of the drive's unit.
-    motion : (8, 1, n) array
+    motion : (SCRATCH_ROWS, 1, n) array
         Scratch.
     of_axes : (2, axes) array
         Overwritten by efforts, friction included, and their standard deviations [drive's unit].

@@ -20,7 +20,7 @@ from virtual_bus.special_frames import FLAGS, message_of
 CHANNEL = "lockstep"
 
 MOST_HEARD = 3 * 32
-"""Values of frames that wait for who listens where no SYNC comes: those of three ticks of two axes."""
+"""Values of frames, three each, that wait for the listener where no SYNC comes: those of four ticks of two axes."""
 
 
 class LockstepBus(can.BusABC):
@@ -83,17 +83,12 @@ class LockstepBus(can.BusABC):
 
         With none there, virtual time passes until one comes or the time-out is over; without a time-out there is no wait.
         """
-        while True:
-            if not self._frames and not (timeout and self._wait_for_frame(timeout)):
-                return None
-            message = self.as_message(*self._frames.popleft())
-            if self._filters is None or self._matches_filters(message):
-                return message
+        if not self._frames and not (timeout and self._wait_for_frame(timeout)):
+            return None
+        return self.as_message(*self._frames.popleft())
 
     def waiting_frames(self) -> deque[tuple[int, bytes]]:
-        """Return the frames that wait, as (identifier, data), for who takes them out himself; no time passes."""
-        if self._filters is not None:
-            self._frames = deque(frame for frame in self._frames if self._matches_filters(self.as_message(*frame)))
+        """Return the frames that wait, as (identifier, data), for a caller that takes them out; no time passes."""
         return self._frames
 
     def as_message(self, can_id: int, data: bytes) -> can.Message:
@@ -123,7 +118,8 @@ class LockstepBus(can.BusABC):
             heard += can_id, data, self.time_s
             if can_id == self._sync_id or len(heard) >= MOST_HEARD:
                 listener()
-        self._frames.append((can_id, data))
+        if self._filters is None or self._matches_filters(self.as_message(can_id, data)):
+            self._frames.append((can_id, data))
 
     def _queue_logged(self, can_id: int, data: bytes) -> None:
         self._write_log(can_id, data)

@@ -282,6 +282,10 @@ class SensorJudge:
         self._is_failing = is_failing
         return self._take_findings(time_s, led=led)
 
+    def has_to_rehearse(self) -> bool:
+        """Return whether `rehearse` has anything to do."""
+        return self._window is not None and self._window.is_to_rehearse
+
     def rehearse(self) -> None:
         """Execute what the end of a motion window takes, shortly before it: it is code that no other tick has brought into the caches."""
         if self._window is not None and self._window.rehearse():

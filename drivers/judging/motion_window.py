@@ -178,21 +178,29 @@ class MotionWindow:
         self.effort_unsure = np.full(self._axes, nan)
         self.imu_off = np.full(6, nan)
         self._tick = 0
+        self._is_rehearsed = False  # since the newest sample
 
     def step(self, sample: Sample, ticks: int) -> None:
         """Take the newest sample; `ticks` passed since the one before. Lost ticks begin the window anew."""
         k = self._tick if ticks == 1 else 0
         self._samples[k] = sample.memory
+        self._is_rehearsed = False
         is_full = k + 1 == self.ticks
         self._tick = 0 if is_full else k + 1
         self.over = is_full and self._compare()
 
     def rehearse(self) -> bool:
-        """Compare what is there, without consequence, where the next sample ends a window; return whether it does."""
-        ends = self._tick == self.ticks - 1
-        if ends:
-            self._expected()
-        return ends
+        """Compare what is there, without consequence and once, where the next sample ends a window; return whether it did so."""
+        if not self.is_to_rehearse:
+            return False
+        self._is_rehearsed = True
+        self._expected()
+        return True
+
+    @property
+    def is_to_rehearse(self) -> bool:
+        """Whether the next sample ends a window, and that has not been rehearsed."""
+        return self._tick == self.ticks - 1 and not self._is_rehearsed
 
     def _expected(self) -> tuple[Means, Expected] | None:
         """Return the means of the window and what is expected of them; None where readings of its axes are missing."""

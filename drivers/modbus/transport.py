@@ -96,9 +96,10 @@ class InProcessTransport:
 
     def __init__(self, serve: Callable[[bytes], bytes]) -> None:
         self._serve = serve
-        self._framer = framer = FramerSocket(DecodePDU(False))
+        decoder = DecodePDU(False)
+        self._framer = framer = FramerSocket(decoder)
         self._transaction = 0
-        self._decoded = lru_cache(KEPT_MESSAGES)(_decoded)
+        self._decoded = lru_cache(KEPT_MESSAGES)(decoder.decode)
         self._behind_transaction = lru_cache(KEPT_MESSAGES)(lambda pdu: framer.buildFrame(pdu)[MBAP_PROTOCOL_OFFSET:])
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
@@ -247,16 +248,6 @@ class ClientTransport:
         seen = _what_is_wrong(received, self._sent) if self._is_serial else _what_is_wrong_on_tcp(received)
         shown = received[:SHOWN_BYTES].hex(" ")
         return ProtocolError(f"{self.name}: {seen} ({shown}){'; check wiring, baud rate and parity' if self._is_serial else ''}")
-
-
-def _decoded(pdu: bytes) -> ModbusPDU | None:
-    """Return an answer that is no exception; None where it cannot be decoded."""
-    answer = DecodePDU.pdu_table[pdu[0]][1]()
-    try:
-        answer.decode(pdu[1:])  # `DecodePDU.decode` also puts each in words, for a log that nobody keeps
-    except UNREADABLE:
-        return None
-    return answer
 
 
 def _is_answer(said: bytes, sent: bytes) -> bool:

@@ -308,7 +308,7 @@ def _standard_reading(message: bytes) -> Values | None:
     return counter, time_ticks, (x, y, z), (p, q, r), status
 
 
-_FLOAT32 = Precision.FLOAT32  # a name of its own is found faster
+_FLOAT32 = Precision.FLOAT32  # a module's name is looked up faster than a member of an enumeration
 
 
 def encode_reading(reading: Values, precision: Precision = _FLOAT32) -> bytes:

@@ -51,8 +51,8 @@ class Supervisor:
     Attributes
     ----------
     noted : list
-        Who hears frames may note them here instead of calling `frame`: identifier, data and time of each, one after the other. They are
-        taken before anything is answered. There are never more than MOST_NOTED: `take_noted` takes them out.
+        Whoever hears frames may note them here instead of calling `frame`: identifier, data and time of each, one after the other. They are
+        judged with the next question, and before more than MOST_NOTED of them wait, the caller has `take_noted` judge them.
     """
 
     def __init__(self, settings: BusSettings) -> None:

@@ -47,7 +47,7 @@ class SupervisorInProcess:
     Attributes
     ----------
     heard : list
-        Frames of the bus since the last call of `take`, which whoever carries them notes here, see `Supervisor.noted`.
+        Frames of the bus that wait to be judged; whoever carries them notes them here, see `Supervisor.noted`.
     """
 
     def __init__(

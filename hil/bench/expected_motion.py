@@ -9,7 +9,7 @@ from drivers.judging.motion_window import ROWS, Expected, Expects, Means
 from hil.bench.holding import Loads
 from hil.machine import Machine
 from virtual_bus.effects.places import imu_channel_names
-from virtual_bus.expectation import expecting
+from virtual_bus.expectation import SCRATCH_ROWS, expecting
 from virtual_bus.physics import Physics
 
 
@@ -39,7 +39,7 @@ def expectation_of(machine: Machine, model: Physics) -> Expects | None:
     name = "" if judging.imu is None else judging.imu.sensor
     first = next((6 * number for number, imu in enumerate(settings.imus) if imu.name == name), None)
 
-    motion, of_axes, of_imus = np.zeros((ROWS, 1, plant.joints)), np.zeros((2, len(joints))), np.zeros((1, len(channels)))
+    motion, of_axes, of_imus = np.zeros((SCRATCH_ROWS, 1, plant.joints)), np.zeros((2, len(joints))), np.zeros((1, len(channels)))
 
     def expects(means: Means) -> Expected:
         expect(model.model, work, means.rows, joints, gears, scale, motion, of_axes, of_imus)

@@ -163,6 +163,8 @@ class SampleLoop:
             for signal in (plan.reference, plan.reference_raw, plan.excitation, plan.feedforward):
                 if signal is not None and signal.shape[1] != len(self.limits):
                     raise ValueError(f"a plan of {signal.shape[1]} axes for a loop of {len(self.limits)}: one is longer")
+                if signal is not None and len(signal) < rows:
+                    raise ValueError(f"a plan of {rows} rows with a signal of {len(signal)}")
             while k + 1 < rows:
                 sample = self.link.exchange(self.control.effort)
                 lost = self.clock.missed - missed_seen

@@ -103,7 +103,8 @@ def open_bench(
         )
         pose = _look(machine, model, wiring)
         if isinstance(wiring.clock, WallClock) and options.real_time:
-            wiring.clock.rehearsals.append(judge.rehearse)
+            wiring.clock.has_more_to_rehearse = judge.has_to_rehearse
+            wiring.clock.rehearsals.insert(0, judge.rehearse)  # what is warmed last is warmest: the frames
             if observer is not None:
                 wiring.clock.rehearsals.append(observer.rehearse)
         if observer is not None and isinstance(wiring.clock, WallClock):

@@ -170,7 +170,7 @@ class OpenMachine(Machine):
 
 
 def linear_plant(machine: Machine, pose: Mapping[str, float]) -> LinearPlant:
-    """Return the plant, linear about rest at a pose by axis name [rad or m], for who has no need of python-control."""
+    """Return the plant, linear about rest at a pose by axis name [rad or m], without importing python-control."""
     from virtual_bus.physics import Physics  # here because it compiles the plant
 
     return Physics(machine.plant, noise=False).linear(pose_array(machine, pose))

@@ -34,6 +34,7 @@ class Cia406Encoder(Node):
         self.objects.checks[key_of(0x6003)] = self._check_preset
         self.objects.effects[key_of(0x6000)] = lambda value: self._take_parameters()
         self.objects.effects[key_of(0x6002)] = lambda value: self._take_parameters()
+        self.objects.effects[key_of(0x6509)] = lambda value: self._take_parameters()  # some data sheets let it be written
         self.objects.effects[key_of(0x6003)] = self._preset
         self.objects.effects[key_of(0x6200)] = self._set_cyclic_timer
         self._counts = 0  # from joint position zero

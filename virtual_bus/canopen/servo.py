@@ -9,6 +9,7 @@ from drivers.canopen import units
 from virtual_bus.canopen.motion import VelocityGains, VelocityLoop
 from virtual_bus.canopen.objects import Objects, Value, key_of
 from virtual_bus.canopen.pdo import dummy_entry
+from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EmulatedDrive
 
 STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
@@ -88,6 +89,8 @@ class Servo:
         if (entry := self.objects.get(index)) is None:
             entry = dummy_entry(_INTEGER32)
             entry.value = value
+        if not entry.is_integer:
+            raise EmulatorError(f"{self._settings.eds}: no data sheet of a CiA 402 drive: {index:04X}h is no integer")
         return cast("Number", entry)
 
     # ---- units ----------------------------------------------------------------------------------------

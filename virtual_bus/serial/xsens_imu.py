@@ -59,7 +59,7 @@ class State(Enum):
     MEASUREMENT = "measurement"
 
 
-_WAKING, _CONFIG, _MEASUREMENT = State  # names of their own are found faster
+_WAKING, _CONFIG, _MEASUREMENT = State  # a module's name is looked up faster than a member of an enumeration
 
 
 def _as_it_is(sample: np.ndarray) -> np.ndarray:

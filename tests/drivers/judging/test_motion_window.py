@@ -153,6 +153,7 @@ def test_a_rehearsal_before_the_sample_that_ends_a_window_is_without_consequence
     ends = []
     for k in range(2 * TICKS):
         ends += [k] if rehearsed.window.rehearse() else []
+        assert not rehearsed.window.rehearse(), "once, however long the next sample takes"
         known = rehearsed.window.over, rehearsed.window.effort_off.copy()
         assert rehearsed.run(move, 1) == plain.run(move, 1)
         assert known[0] is (k == TICKS), "a rehearsal ends no window"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.bench.clock import LockstepClock, WallClock
+from hil.bench.clock import MORE_S, LockstepClock, WallClock
 
 PERIOD_S = 1 / 256
 SPUN_s = 400e-6  # before a tick: five times the latest wake-up measured under SCHED_FIFO (84 us), a tenth of a period
@@ -67,6 +67,14 @@ def test_a_rehearsal_is_between_sleep_and_tick_and_none_is_held_when_the_tick_is
     watch.work(1.5 * PERIOD_S)
     clock.wait_tick()
     assert len(held) == 1
+
+
+def test_it_wakes_sooner_where_more_is_to_be_rehearsed(watch: Watch) -> None:
+    clock, _ = ticking(watch)
+    clock.has_more_to_rehearse = lambda: len(watch.slept) == 1
+    for _ in range(3):
+        clock.wait_tick()
+    assert watch.slept == [pytest.approx(PERIOD_S - SPUN_s - more_s, abs=5e-6) for more_s in (0.0, MORE_S, 0.0)]
 
 
 def test_a_tick_that_is_a_little_late_is_served_at_once_says_so_and_the_next_is_on_time(watch: Watch) -> None:

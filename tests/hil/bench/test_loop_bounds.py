@@ -126,6 +126,14 @@ def test_a_plan_of_other_axes_is_refused() -> None:
         proportional_loop(ScriptedLink(ScriptedClock())).run(plan)
 
 
+@pytest.mark.parametrize("signal", ["reference_raw", "excitation", "feedforward"])
+def test_a_plan_whose_signals_end_at_different_rows_is_refused(signal: str) -> None:
+    plan = still(4)
+    setattr(plan, signal, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="a plan of 4 rows with a signal of 3"):
+        proportional_loop(ScriptedLink(ScriptedClock())).run(plan)
+
+
 # ---- order
 
 

@@ -23,7 +23,8 @@ from hil.machine.drawn import drawn, typical
 
 MACHINES = 10
 QUIET = "roll 30 deg/s, quiet"
-"""Of which the design of one command is judged; the others judge one of the same model that is told of shaking."""
+"""Of which the design of one command is judged, with what it states for the unscented filter; the others judge a design that is told of
+shaking, on a coarser grid of poses."""
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from virtual_bus.canopen.drive import Cia402Drive
+from virtual_bus.errors import EmulatorError
 
 NONE, PP, PV, HOMING, CSP, CSV, CST = 0, 1, 3, 6, 8, 9, 10
 MOVING_MODES = (PP, PV, CSP, CSV, CST)
@@ -67,6 +68,14 @@ def test_a_device_whose_data_sheet_lacks_a_modes_objects_does_not_offer_it(tmp_p
     assert remote.sdo[0x6502].raw == 0x3A5 & ~(1 << 8 | 1 << 2)
     assert abort_code(lambda: remote.sdo.download(0x6060, 0, b"\x09")) == 0x06090030
     assert abort_code(lambda: remote.sdo.download(0x6060, 0, b"\x03")) == 0x06090030
+
+
+def test_a_data_sheet_whose_target_is_no_integer_is_refused(tmp_path: object) -> None:
+    before, of_target, behind = DRIVE_EDS.read_text().partition("[6071]")
+    eds = tmp_path / "real_target_torque.eds"  # type: ignore[operator]
+    eds.write_text(before + of_target + behind.replace("DataType=0x0003", "DataType=0x0008", 1))  # REAL32
+    with pytest.raises(EmulatorError, match="6071h is no integer"):
+        Cia402Drive(drive_settings(node_id=4, eds=eds), PERIOD_S, lambda can_id, data: None)
 
 
 @pytest.mark.parametrize("before", MOVING_MODES)
