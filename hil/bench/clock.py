@@ -11,7 +11,7 @@ SPIN_S = 400e-6
 (measured 46/61/84 us p50/p99/max with SCHED_FIFO asleep, 0/0/62 us with a spin of 150 us). The rehearsals take the rest."""
 
 MORE_S = 300e-6
-"""By which the loop is awake sooner where the end of a motion window is rehearsed too: code that no other tick has brought into the caches."""
+"""By which the loop is awake sooner where the end of a motion window is rehearsed too, whose code no other tick brings into the caches."""
 
 ANSWERS_AWAKE_S = 1e-3
 """Time after a SYNC in which its answers are polled without sleeping: on CAN at 1 Mbit/s six of them take 0.8 ms. A sleeping process costs

@@ -93,15 +93,15 @@ TIMING = (
         "Timing on the wall clock, beside a bare python-can loop",
         "Loop and emulated machine in two processes on a UDP bus, with shaper, observer and damping, two virtual processors with real-time "
         "scheduling. *Bare* is a loop that exchanges the same frames with the same emulator and computes nothing, before and after the "
-        "bench in one run. A whole tick lasts from when it is due until the loop is ready to wait again. A minute of the bench each, shown "
-        "of the middle one of three repeats.",
+        "bench in one run. A whole tick lasts from when it is due until the loop is ready to wait again. Of a case's repeats, of about "
+        "a minute each, the one with the middle ratio is shown.",
         "python benchmarks/wall_clock.py --seconds 60 --repeats 3",
         tuple(
             figure
             for case, name in _CASES.items()
             for figure in (
                 Figure(f"{name}: 99.9 % of the bench over that of the bare loop", (case, "ratio_p99.9"), asked="at most 1.5"),
-                Figure(f"{name}: smallest of three repeats", (case, "smallest_ratio")),
+                Figure(f"{name}: smallest of the repeats", (case, "smallest_ratio")),
                 Figure(f"{name}: largest", (case, "largest_ratio")),
                 Figure(f"{name}: 99.9 % as `doctor` predicts it", (case, "predicted", "p999_s"), "µs", 1e6),
                 Figure(f"{name}: 99.9 % as it was", (case, "bench", "p99.9_us"), "µs", 1.0),
