@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal
 
-from drivers.judging.motion_window import Expects
+from drivers.judging.motion_means import Expects
 
 Follows = Literal["stop", "mark"]
 """What follows a finding: the motors are stopped, or the run goes on and its rows are marked."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.judging.drive import UNSURE
-from drivers.judging.motion_window import ROWS, Expected, Expects, Means
+from drivers.judging.motion_means import ROWS, Expected, Expects, Means
 from hil.bench.holding import Loads
 from hil.machine import Machine
 from virtual_bus.effects.places import imu_channel_names

@@ -12,7 +12,8 @@ from bench_machines import CARM
 from drivers.interface import Sample
 from drivers.judging.drive import DriveJudge
 from drivers.judging.judge import SensorJudge
-from drivers.judging.motion_window import Expected, Means, MotionWindow
+from drivers.judging.motion_means import Expected, Means
+from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import DriveJudging, JudgingSettings
 
 PERIOD_S = 1 / 256

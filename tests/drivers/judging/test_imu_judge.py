@@ -11,7 +11,8 @@ import pytest
 
 from drivers.interface import Sample
 from drivers.judging.imu import ImuJudge
-from drivers.judging.motion_window import Expected, MotionWindow
+from drivers.judging.motion_means import Expected
+from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import ImuJudging
 
 PERIOD_S = 1 / 256

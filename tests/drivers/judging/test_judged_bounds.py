@@ -13,7 +13,7 @@ from drivers.interface import Sample
 from drivers.judging.drive import DriveJudge
 from drivers.judging.encoders import EncoderJudge
 from drivers.judging.judge import MOST_FINDINGS, SensorJudge
-from drivers.judging.motion_window import Expected
+from drivers.judging.motion_means import Expected
 from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.judging.temperature import TemperatureJudge
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.interface import Sample
-from drivers.judging.motion_window import Expected, Means, MotionWindow
+from drivers.judging.motion_means import Expected, Means
+from drivers.judging.motion_window import MotionWindow
 
 PERIOD_S = 2.0**-8
 TICKS = 128

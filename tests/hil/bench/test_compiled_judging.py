@@ -10,7 +10,8 @@ import pytest
 
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge, judged
-from drivers.judging.motion_window import Expected, average
+from drivers.judging.motion_means import Expected
+from drivers.judging.motion_window import average
 from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from hil.bench.compiled_judging import averaged_at_once, judged_at_once
 

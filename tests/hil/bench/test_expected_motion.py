@@ -9,7 +9,7 @@ import pytest
 from bench_machines import CARM
 
 from drivers.judging.drive import UNSURE
-from drivers.judging.motion_window import Means
+from drivers.judging.motion_means import Means
 from hil.bench.expected_motion import expectation_of
 from hil.faults.check import run_trial
 from hil.faults.motion import motion_of
