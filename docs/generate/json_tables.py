@@ -166,8 +166,9 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "prediction",
             "object or null",
             "Of whole ticks, from due to ready to wait again; null where nothing was measured. `ticks`, `period_s`, `p50_s`, `p99_s`, "
-            "`p999_s`, and for the ten minutes after it `p999_least_s` to `p999_most_s`, nine times of ten, `max_s`; `missed_in_trial`; "
-            "per ten minutes `expected_missed`, extrapolated from block maxima, and `least_missed` to `most_missed`, nine times of ten.",
+            "`p999_s`, and for the ten minutes after it `p999_least_s` to `p999_most_s`, nine times of ten if the computer goes on as in "
+            "the trial, `max_s`; `missed_in_trial`; per ten minutes `expected_missed`, extrapolated from block maxima, and `least_missed` "
+            "to `most_missed`, as often.",
         ),
         Entry("wake_up_us", "object or null", "Lateness of a loop without a bus: `p50`, `p99`, `p99.9`, `max`."),
         Entry("trial", "object or null", "Timing of the run against the emulated machine, as in a recording."),

@@ -34,6 +34,7 @@ GOOD_WAKE_UP_SHARE = 0.1
 BUSY = "nothing was measured, so as not to disturb it; end it and ask again"
 WITHOUT_BIT_RATE = ("udp_multicast",)
 MICROSECONDS = 1e6
+HOW_OFTEN = "nine times of ten if the computer goes on like this"
 SUSPECTS = ("kernel", "scheduler", "locked memory", "processors", "frequency governor", "clock source", "load", "swap", "stolen time")
 """Checks whose findings can explain late ticks."""
 
@@ -149,14 +150,14 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
     least, most = (MICROSECONDS * value for value in (prediction.p999_least_s, prediction.p999_most_s))
     found = "p50 {:.0f}, p99 {:.0f}, p99.9 {:.0f}, max {:.0f} us".format(*times)
     found += f" of {period_us:.0f} us, {prediction.ticks} ticks; "
-    found += f"p99.9 of the {HORIZON_S / 60.0:g} minutes after it {least:.0f} to {most:.0f} us, nine times of ten"
+    found += f"p99.9 of the {HORIZON_S / 60.0:g} minutes after it {least:.0f} to {most:.0f} us, {HOW_OFTEN}"
     if prediction.p999_s <= GOOD_SHARE * prediction.period_s:
         yield Finding("ok", "whole tick", found)
     else:
         advice = f"p99.9 of at most {GOOD_SHARE * period_us:.0f} us; {mend}"
         yield Finding("bad" if prediction.p999_s > prediction.period_s else "look", "whole tick", found, advice)
     expected = f"{_count(prediction.expected_missed)} expected in {HORIZON_S / 60.0:g} minutes (block maxima)"
-    interval = f"between {_count(prediction.least_missed)} and {_count(prediction.most_missed)} nine times of ten"
+    interval = f"between {_count(prediction.least_missed)} and {_count(prediction.most_missed)} {HOW_OFTEN}"
     found = f"{prediction.missed_in_trial} in the trial; {expected}, {interval}"
     if most_at_once > overrun_ticks:
         advice = f"{most_at_once} at once stop the motors, timing.overrun_ticks bridges {overrun_ticks}: {mend}"

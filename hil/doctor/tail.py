@@ -25,10 +25,11 @@ class Prediction:
     """What to expect of a loop, from a trial.
 
     `expected_missed` extrapolates block maxima with a generalised extreme-value distribution. The intervals do not rest on it. They are for
-    what the `HORIZON_S` after the trial will show, nine times of ten. Load, other guests of a host and its clock change over minutes, so
-    that ten minutes differ from a trial by more than chance: see `wandering`. `p999_least_s` to `p999_most_s` is that of the 99.9th
-    percentile. `least_missed` to `most_missed` is the binomial interval (Clopper and Pearson 1934) of the share of blocks with a lost tick,
-    widened by `_dispersion`, times the ticks that such a block loses.
+    what the `HORIZON_S` after the trial will show, nine times of ten if the computer goes on as in the trial. Load, other guests of a host
+    and its clock change over minutes, so that ten minutes differ from a trial by more than chance: see `wandering`. What did not
+    happen in the trial is allowed for as far as chance may have hidden it, no further. `p999_least_s` to `p999_most_s` is the interval of
+    the 99.9th percentile. `least_missed` to `most_missed` is the binomial interval (Clopper and Pearson 1934) of the share of blocks with a
+    lost tick, widened by `_dispersion`, times the ticks that such a block loses.
     """
 
     ticks: int

@@ -123,6 +123,21 @@ TIMING = (
         ),
     ),
     Shown(
+        "doctor.json",
+        "What `doctor` foretells, and the ten minutes after it",
+        "`doctor` with a trial of a minute, then ten minutes of `run static` over UDP, by turns, on an idle virtual machine of two "
+        "processors whose host serves others, too. Stalls that the minute has not seen come later. The halves of one run show how near a "
+        "prediction could come.",
+        "python benchmarks/doctor.py",
+        (
+            Figure("predictions", ("runs",)),
+            Figure("99.9 % of a tick, within its interval", ("p99.9_within_its_interval",), asked="nine of ten"),
+            Figure("missed ticks, within theirs", ("missed_within_its_interval",), asked="nine of ten"),
+            Figure("99.9 % of a tick, within a factor of 1.5", ("how_many_within",)),
+            Figure("halves of a run within a factor of 1.5 of each other", ("halves_within",)),
+        ),
+    ),
+    Shown(
         "tick_shares.json",
         "What a tick spends its time on",
         "The same scan at 256 Hz. The process is interrupted as its processor time goes by, and the part at work counts. "
