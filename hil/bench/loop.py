@@ -27,9 +27,9 @@ from hil.bench.timing import LoopTiming
 from hil.errors import LoopAbortedError
 
 PROGRESS_TICKS = 128
+"""Ticks between calls of the progress callback: twice a second at 256 Hz."""
 SILENT_S = 0.05
 """Of the loop itself, from which what happened then is told as what came of it: a computer at other work takes less."""
-"""Ticks between calls of the progress callback: twice a second at 256 Hz."""
 
 
 class Sink(Protocol):
